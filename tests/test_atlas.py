@@ -7,18 +7,14 @@ eigenvalue. What these tests add is that none differs, and that no row forgets i
 from __future__ import annotations
 
 import csv
-import sys
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-import servocore as sc  # noqa: E402
-from benchmarks.atlas.record import (  # noqa: E402
+import servocore as sc
+from benchmarks.atlas.record import (
     FAILS,
     NO_PREDICTION,
     REFUSED,
@@ -30,11 +26,13 @@ from benchmarks.atlas.record import (  # noqa: E402
     at_most,
     meets,
 )
-from benchmarks.atlas.row03_inconsistent_start import prediction  # noqa: E402
-from benchmarks.atlas.row04_drift_off import one_step  # noqa: E402
-from benchmarks.atlas.row04_drift_off import scene as pendulum_scene  # noqa: E402
-from benchmarks.atlas.rows import ROWS, named  # noqa: E402
-from servocore.stepping.forward_dynamics import STABILIZATION_RATE  # noqa: E402
+from benchmarks.atlas.row03_inconsistent_start import prediction
+from benchmarks.atlas.row04_drift_off import one_step
+from benchmarks.atlas.row04_drift_off import scene as pendulum_scene
+from benchmarks.atlas.rows import ROWS, named
+from servocore.stepping.forward_dynamics import STABILIZATION_RATE
+
+ROOT = Path(__file__).resolve().parent.parent
 
 NAMES = [row.name for row in ROWS]
 PAGE = ROOT / "docs" / "stability"

@@ -13,23 +13,21 @@ import numpy as np
 import pytest
 from present import of_kind, present
 
+import servocore as sc
+from benchmarks.chart import calls, own, scale, selection
+from benchmarks.chart.__main__ import main
+from benchmarks.chart.candidate import Answer, Candidate, Prepared, Problem
+from benchmarks.chart.forms import DERIVATIVE_ARRAY, make_form
+from benchmarks.chart.orders import fit_order, round_off_constant
+from benchmarks.chart.page import PAGE, render, write_tables
+from benchmarks.chart.record import ORDER_SCENE, read_record
+from benchmarks.chart.requirements import NO_REASON, REASONS, requirements
+from benchmarks.chart.rows import COLUMNS, Row, read_rows
+from benchmarks.chart.study import PEERS, Effort, peer_candidates, problems
+from benchmarks.chart.timing import Timed, measure
 from servocore.numerics.compiled_calls import Array
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-import servocore as sc  # noqa: E402
-from benchmarks.chart import calls, own, scale, selection  # noqa: E402
-from benchmarks.chart.__main__ import main  # noqa: E402
-from benchmarks.chart.candidate import Answer, Candidate, Prepared, Problem  # noqa: E402
-from benchmarks.chart.forms import DERIVATIVE_ARRAY, make_form  # noqa: E402
-from benchmarks.chart.orders import fit_order, round_off_constant  # noqa: E402
-from benchmarks.chart.page import PAGE, render, write_tables  # noqa: E402
-from benchmarks.chart.record import ORDER_SCENE, read_record  # noqa: E402
-from benchmarks.chart.requirements import NO_REASON, REASONS, requirements  # noqa: E402
-from benchmarks.chart.rows import COLUMNS, Row, read_rows  # noqa: E402
-from benchmarks.chart.study import PEERS, Effort, peer_candidates, problems  # noqa: E402
-from benchmarks.chart.timing import Timed, measure  # noqa: E402
 
 DOCS = ROOT / "docs" / "speed-accuracy"
 SECTIONS = ("Definitions", "Comparison", "Figures", "Peers", "Which route to choose")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -13,15 +11,10 @@ import numpy as np
 import pytest
 from present import present
 
+import servocore as sc
+from benchmarks.copies import cranes
 from servocore.numerics.compiled_calls import Array
-
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-
-import servocore as sc  # noqa: E402
-from benchmarks.copies import cranes  # noqa: E402
-from servocore.numerics.components import (  # noqa: E402
+from servocore.numerics.components import (
     condition_number,
     condition_numbers,
     filled,
@@ -29,11 +22,11 @@ from servocore.numerics.components import (  # noqa: E402
     parts_of,
     singular_values,
 )
-from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank, unit_rows  # noqa: E402
-from servocore.numerics.square_systems import SquareSystem, compile_solver  # noqa: E402
-from servocore.problem import Problem  # noqa: E402
-from servocore.solvers import runs  # noqa: E402
-from servocore.structure.inversion import diagonal_blocks, inversion  # noqa: E402
+from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank, unit_rows
+from servocore.numerics.square_systems import SquareSystem, compile_solver
+from servocore.problem import Problem
+from servocore.solvers import runs
+from servocore.structure.inversion import diagonal_blocks, inversion
 
 BLOCKS = np.array([[0, 2, 0, 1.0], [3, 0, 0, 0], [0, 5, 0, 4], [1, 0, 7, 0]])  # rows 0 and 2, rows 1 and 3
 

@@ -12,15 +12,13 @@ import numpy as np
 import pytest
 
 import servocore as sc
+from benchmarks.ivp import REFERENCES, peer
+from benchmarks.ivp.__main__ import PAGE, own_rows, record, render
+from benchmarks.ivp.long import long_problems
+from benchmarks.ivp.marching import marched
+from benchmarks.ivp.problems import at_the_end, digits, fekete, problems, wheelset
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.ivp import REFERENCES, peer  # noqa: E402
-from benchmarks.ivp.__main__ import PAGE, own_rows, record, render  # noqa: E402
-from benchmarks.ivp.long import long_problems  # noqa: E402
-from benchmarks.ivp.marching import marched  # noqa: E402
-from benchmarks.ivp.problems import at_the_end, digits, fekete, problems, wheelset  # noqa: E402
 
 PROBLEMS = {each.name: each for each in problems()}
 FINEST = {"car_axis": ("simulate, rtol", 1e-12), "squeezer": ("simulate, rtol", 1e-12),

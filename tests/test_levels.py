@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import sys
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -12,8 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from present import present
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import servocore as sc
 from benchmarks.levels.__main__ import main

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import servocore as sc
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 from benchmarks.inteco import driven, laws, real
 
 CRANE = sc.scenes.inteco()
