@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+from benchmarks.atlas.page import anchor, page
+from benchmarks.atlas.record import FACTS, RECORDS, Row, read_findings, write_csv, write_facts
+from benchmarks.atlas.rows import ROWS, named
+from benchmarks.atlas.style import drawn, save
 
-from benchmarks.atlas.page import anchor, page  # noqa: E402
-from benchmarks.atlas.record import FACTS, RECORDS, Row, read_findings, write_csv, write_facts  # noqa: E402
-from benchmarks.atlas.rows import ROWS, named  # noqa: E402
-from benchmarks.atlas.style import drawn, save  # noqa: E402
+ROOT = Path(__file__).resolve().parent.parent
 
 PAGE = ROOT / "docs" / "stability"
 
 
-def test_a_run_writes_table_figures_and_page(tmp_path: Path) -> None:
-    rows = [named("inconsistent-start"), named("elastic-bar")]
+@pytest.mark.parametrize("names", [["inconsistent-start"], ["inconsistent-start", "elastic-bar"]], ids=len)
+def test_a_run_writes_table_figures_and_page(names: list[str], tmp_path: Path) -> None:
+    rows = [named(name) for name in names]
     findings = [row.measure(True) for row in rows]
     records = [record for found in findings for record in found.records]
     write_csv(tmp_path / RECORDS, records)
