@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import shutil
@@ -43,6 +44,8 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes import the same modules
         os.environ.setdefault("CFLAGS", "-O0")  # of exported FMUs: a third of the time, and no digit depends on it
         keep_libraries(config)
+    if config.getoption("--quick"):
+        gc.set_threshold(50_000)  # a run of a minute leaves little: to look for it often takes a twentieth of the time
     config.pluginmanager.register(budgets.Meter(config.getoption("--most-of-budget")))
 
 
@@ -114,6 +117,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: budgets.budgets().get(budgets.file_of(item.nodeid), budgets.UNLISTED), reverse=True)
     if config.getoption("--hypothesis-profile", None) == FRESH:
         ask_examples(items, TIMES_AS_MANY)
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector pass over what was collected: it would look at thousands of cases again and again."""
+    gc.freeze()
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:

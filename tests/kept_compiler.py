@@ -1,7 +1,7 @@
-"""A C compiler that keeps the libraries it has built by their content: the tests build the same ones again and again.
+"""A C compiler that keeps libraries and objects by their content: the tests build the same ones again and again.
 
-`conftest.py` puts it, named `cc`, before the compiler of the machine. Whatever builds no library goes to that
-compiler as it is. The file imports little, as it is run for every library.
+`conftest.py` puts it, named `cc`, before the compiler of the machine. Whatever builds something else goes to that
+compiler as it is, and what it has something to say about is not kept. The file imports little, as it is run for each.
 """
 
 import hashlib
@@ -13,6 +13,8 @@ KEPT = "SERVOCORE_TEST_LIBRARIES"
 """Environment variable with the folder of libraries."""
 OPTIONS = "SERVOCORE_TEST_OPTIONS"
 """Environment variable with what the compiler of libraries is told besides."""
+MADE = (".o", ".su")
+"""Ends of the names of objects and of the sizes of their stack frames."""
 
 
 def script(compiler: str) -> str:
@@ -27,7 +29,7 @@ def key_of(compiler: str, arguments: list[str], output: str) -> str:
     here = os.getcwd()
     for place in [here, *headers(arguments)]:
         for name in sorted(os.listdir(place)):
-            if name != output:
+            if name != output and not name.endswith(MADE):  # by compilers beside; objects to link are arguments
                 add(found, os.path.join(place, name), name)
     for each in arguments:
         add(found, each, each.replace(here, "."))
@@ -53,19 +55,24 @@ def main() -> int:
     """Compile, or copy what was compiled before."""
     compiler, *arguments = sys.argv[1:]
     folder = os.environ.get(KEPT)
-    if not folder or "-shared" not in arguments or "-o" not in arguments:
+    if not folder or not {"-shared", "-c"} & {*arguments} or "-o" not in arguments:
         os.execv(compiler, [compiler, *arguments])
     arguments += os.environ.get(OPTIONS, "").split()
     output = arguments[arguments.index("-o") + 1]
     kept = os.path.join(folder, key_of(compiler, arguments, output))
+    frames = [os.path.splitext(output)[0] + ".su"] if "-fstack-usage" in arguments else []
+    made = {**dict.fromkeys(frames, f"{kept}.su"), output: kept}  # the output last: where it is, all is
     if not os.path.exists(kept):
-        status = subprocess.run([compiler, *arguments], check=False).returncode
-        if status:
-            return status
-        beside = f"{kept}.{os.getpid()}"
-        copy(output, beside)
-        os.replace(beside, kept)  # whole or not at all, whoever else builds it
-    copy(kept, output)
+        run = subprocess.run([compiler, *arguments], stderr=subprocess.PIPE, check=False)
+        sys.stderr.buffer.write(run.stderr)
+        if run.returncode or run.stderr or not all(map(os.path.exists, made)):
+            return run.returncode
+        for source, target in made.items():
+            beside = f"{target}.{os.getpid()}"
+            copy(source, beside)
+            os.replace(beside, target)  # whole or not at all, whoever else builds it
+    for target, source in made.items():
+        copy(source, target)
     return 0
 
 

@@ -15,8 +15,9 @@ from benchmarks.atlas.style import drawn, save
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "stability"
 
 
-def test_a_run_writes_table_figures_and_page(tmp_path: Path) -> None:
-    rows = [named("inconsistent-start"), named("elastic-bar")]
+@pytest.mark.parametrize("names", [["inconsistent-start"], ["inconsistent-start", "elastic-bar"]], ids=len)
+def test_a_run_writes_table_figures_and_page(names: list[str], tmp_path: Path) -> None:
+    rows = [named(name) for name in names]
     findings = [row.measure(True) for row in rows]
     records = [record for found in findings for record in found.records]
     write_csv(tmp_path / RECORDS, records)

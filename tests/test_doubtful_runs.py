@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import re
-import sys
 from contextlib import nullcontext
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
 import servocore as sc
-from servocore.checks.branches import CLOSED_FORM, Branch
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 from benchmarks.atlas.row06_singular_configurations import near_axis, near_slack
+from servocore.checks.branches import CLOSED_FORM, Branch
 
 
 def circles(cycles: int) -> sc.Reference:
