@@ -158,6 +158,16 @@ def test_without_a_terminal_a_line_tells_every_tenth_after_the_first_second(
     assert all(line[2].endswith(" s left") for line in told)
 
 
+def test_without_a_terminal_a_stage_is_told_five_seconds_after_the_line_before(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    progress = PatientProgress("working")
+    for seconds, stage in ((0.5, "at once"), (6.0, "first"), (10.0, "soon after"), (11.5, "second")):
+        monkeypatch.setattr(PatientProgress, "_elapsed", seconds)
+        progress.describe(stage)
+    assert capsys.readouterr().err.splitlines() == ["first", "second"]
+
+
 def test_a_folder_that_a_failed_build_made_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import crane_fmu.build.fmu as building
 
