@@ -10,13 +10,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from test_planning import COARSE, CRANE, FREE, LEVEL, OVERHEAD
 
 import servocore as sc
 from servocore.model.symbols import Parameters
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.obstacles import least_distance, segment_distance
 
-CRANE, OVERHEAD = sc.scenes.rotary_crane(), sc.scenes.overhead_crane()
 DRIVES: Mapping[str, Any] = {
     "M_b": 1000,
     "F": 100,
@@ -25,9 +25,6 @@ DRIVES: Mapping[str, Any] = {
     "s": (1, None),
     "z": (-6, -1),
 }
-LEVEL = [(0, -4), (5, -4)]
-LIMITS: Mapping[str, Any] = {"F": 200, "M_w": (-113.1, -83.1), "swing": "15 deg", "z": (-6, -1)}
-COARSE = 20
 
 
 def rope(path: sc.Reference) -> tuple[Array, Array]:
@@ -57,7 +54,7 @@ def passes_a_box(begin: Array, end: Array, box: sc.Box) -> bool:
 
 def test_a_plan_passes_a_sphere_that_is_thinner_than_the_distance_of_points_on_a_rope() -> None:
     sphere = sc.Sphere((2.5, -3.0), 0.1)
-    path, report = sc.fastest(OVERHEAD, LEVEL, LIMITS, free=sc.Space((sphere,)), intervals=COARSE)
+    path, report = sc.fastest(OVERHEAD, LEVEL, FREE, free=sc.Space((sphere,)), intervals=COARSE)
     assert not passes_a_sphere(*rope(path), sphere)
     assert 0.0 < report.clearance < 0.3
     assert np.abs(path.jet(np.linspace(0, path.duration, 999), 0)[:, 0, 1]).min() < 2.9  # it is lifted above
@@ -65,7 +62,7 @@ def test_a_plan_passes_a_sphere_that_is_thinner_than_the_distance_of_points_on_a
 
 def test_a_plan_passes_a_thin_plate_above_it() -> None:
     plate = sc.Box((2.5, -3.0), (0.6, 0.01))
-    path, report = sc.fastest(OVERHEAD, LEVEL, LIMITS, free=sc.Space((plate,)), intervals=COARSE)
+    path, report = sc.fastest(OVERHEAD, LEVEL, FREE, free=sc.Space((plate,)), intervals=COARSE)
     assert not passes_a_box(*rope(path), plate)
     assert 0.0 < report.clearance < 0.3
     assert report.duration < 1.3 * 3.64  # with the way of the level line, which is not clear
@@ -82,7 +79,7 @@ def test_a_way_through_a_body_is_never_handed_out(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(sc.Space, "rows", nothing)
     space = sc.Space((sc.Sphere((2.5, -2.0), 0.001),))
     with pytest.raises(sc.PlanningFailed, match="load, rope do not keep clear of the bodies"):
-        sc.fastest(OVERHEAD, LEVEL, LIMITS, free=space, intervals=COARSE)
+        sc.fastest(OVERHEAD, LEVEL, FREE, free=space, intervals=COARSE)
 
 
 BODIES = [sc.Sphere((0.2, -0.3, 0.1), 0.4), sc.Box((0.2, -0.3, 0.1), (0.4, 0.02, 0.3))]

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +22,8 @@ OVERHEAD = sc.scenes.overhead_crane()
 LINE = [(5, 0, -5), (-2, 2, -2)]
 DEFAULT: dict[str, Bounds] = {"M_b": 1000, "F": 60, "swing": "5 deg"}
 LEVEL = [(0, -4), (5, -4)]
+FREE: dict[str, Bounds] = {"F": 200, "M_w": (-113.1, -83.1), "swing": "15 deg", "z": (-6, -1)}
+CURVE = [(5, 0, -5), (3.5, 1.5, -3.4), (1.5, 2.6, -2.6), (-0.3, 2.6, -2.3), (-2, 2, -2)]
 QUICK, COARSE = 40, 20
 """Intervals: half and a quarter of what is usual; plans are some two and five per cent slower."""
 
@@ -160,7 +162,7 @@ def test_what_no_law_keeps_or_nobody_can_plan_is_refused(
 @pytest.mark.parametrize("smooth", [False, True, -1, 3, 0.0])
 def test_smooth_is_a_number_of_derivatives_from_zero_to_two(smooth: int) -> None:
     with pytest.raises(sc.InvalidSetting, match=f"0 to 2, not {smooth!r}"):
-        sc.fastest(CRANE, [(5, 0, -5), (-2, 2, -2)], DEFAULT, smooth=smooth)
+        sc.fastest(CRANE, LINE, DEFAULT, smooth=smooth)
 
 
 def test_a_bar_of_index_seven_has_six_smooth_derivatives() -> None:
@@ -220,18 +222,16 @@ def test_a_curve_with_a_corner_is_refused() -> None:
 class TestFreeWay:
     """Between two points a plan may choose its way, clear of what stands there."""
 
-    LIMITS: ClassVar[dict[str, Bounds]] = {"F": 200, "M_w": (-113.1, -83.1), "swing": "15 deg", "z": (-6, -1)}
-
     def test_without_obstacles_is_faster_than_known_laws_on_the_line(self) -> None:
         way = [(0, -4), (5, -1.5)]
-        free = sc.fastest(OVERHEAD, way, self.LIMITS, free=sc.Space(), intervals=COARSE)[1]
+        free = sc.fastest(OVERHEAD, way, FREE, free=sc.Space(), intervals=COARSE)[1]
         assert free.duration < 0.95 * min(free.degree9, free.three_phase)
         assert free.clearance == math.inf
 
     def test_needs_bodies_of_its_dimension(self) -> None:
         space = sc.Space((sc.Sphere((0.0, 0.0, 0.0), 1.0),))
         with pytest.raises(sc.InvalidSetting, match="2 dimensions"):
-            sc.fastest(OVERHEAD, LEVEL, self.LIMITS, free=space)
+            sc.fastest(OVERHEAD, LEVEL, FREE, free=space)
 
     @pytest.mark.parametrize(
         ("body", "sentence"),
@@ -242,7 +242,7 @@ class TestFreeWay:
     )
     def test_a_body_at_an_end_is_named_before_anything_is_solved(self, body: sc.Sphere | sc.Box, sentence: str) -> None:
         with pytest.raises(sc.InvalidReference, match=re.escape(sentence)):
-            sc.fastest(OVERHEAD, LEVEL, self.LIMITS, free=sc.Space((body,)))
+            sc.fastest(OVERHEAD, LEVEL, FREE, free=sc.Space((body,)))
 
     def test_a_body_has_finite_numbers(self) -> None:
         for wrong in (lambda: sc.Sphere((1.0, math.nan), 1.0), lambda: sc.Box((1.0, 2.0), (1.0, math.inf))):
