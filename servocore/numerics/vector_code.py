@@ -23,7 +23,6 @@ from servocore.numerics.machine_code import Build
 from servocore.numerics.step_operations import operations_of
 
 _MOST_OPERATIONS = 30_000  # of all expressions of a source; beyond, a compilation takes minutes
-_TILE = 64  # instants whose results are buffered before they are written: each row lies in another memory page
 
 _VECTOR = {
     "ADD": "{0} + {1}", "SUB": "{0} - {1}", "MUL": "{0} * {1}", "DIV": "{0} / {1}", "TWICE": "{0} + {0}",
@@ -42,7 +41,6 @@ _NAMES: dict[int, str] = {getattr(ca, name): name[3:] for name in dir(ca) if nam
 
 HEAD = f"""#include <math.h>
 #define LANES {LANES}
-#define TILE {_TILE}
 typedef double vec __attribute__((vector_size({8 * LANES})));
 typedef double mem __attribute__((vector_size({8 * LANES}), aligned(8), may_alias));
 typedef long long bits __attribute__((vector_size({8 * LANES})));
@@ -109,26 +107,17 @@ def vector_source(function: ca.Function, along: Sequence[bool]) -> str:
 
 
 def vector_part(name: str, function: ca.Function, along: Sequence[bool]) -> str:
-    """Return the function `name` of a source as in `vector_source`: tiles of instants, eight at once.
+    """Return the function `name` of a source as in `vector_source`: eight instants at once, written where they belong.
 
     If fewer than eight are left, the last eight are evaluated again.
     """
     of = _Statements(function, along)
     return of.function(name, [
-        "  for (long done = 0; done < count; done += TILE) {",
-        "   const long first = done + LANES <= count ? done : count - LANES;",
-        "   const long size = count - first < TILE ? count - first : TILE;",
-        f"   double tile[{sum(of.sizes)}*TILE] __attribute__((aligned(64)));",
-        "   for (long next = 0; next < size; next += LANES) {",
-        "    const long place = next + LANES <= size ? next : size - LANES, k = first + place; (void)k;",
-        *[f"    {statement}" for statement in of.block],
-        *[f"    *(mem*)(tile + {of.first[which] + i}*TILE + place) = {value};" for which, i, value in of.results],
-        "   }",
-        *[
-            f"   for (long i = 0; i < {size}; ++i) __builtin_memcpy(out[{k}] + (c*{size} + i)*columns + first,"
-            f" tile + ({of.first[k]} + i)*TILE, size*sizeof(double));"
-            for k, size in enumerate(of.sizes)
-        ],
+        *[f"  double *const to{k} = out[{k}] + c*{size}*columns;" for k, size in enumerate(of.sizes)],
+        "  for (long next = 0; next < count; next += LANES) {",
+        "   const long k = next + LANES <= count ? next : count - LANES;",
+        *[f"   {statement}" for statement in of.block],
+        *[f"   *(mem*)(to{which} + {i}*columns + k) = {value};" for which, i, value in of.results],
         "  }",
     ])  # fmt: skip
 
