@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -115,6 +116,16 @@ class Rows:
     coordinates: Places
     still: Array
 
+    @cached_property
+    def incomplete(self) -> bool:
+        """Whether a rate is unknown."""
+        return bool((self.rates < 0).any())
+
+    @cached_property
+    def turns(self) -> bool:
+        """Whether a value wraps."""
+        return bool(self.wraps.any())
+
     @classmethod
     def of(cls, array: DerivativeArray, watched: Sequence[tuple[int, int]]) -> Rows:
         """Return the rows of derivatives (coordinate, order) of an array."""
@@ -134,11 +145,14 @@ class Rows:
 
     def missed(self, first: Array, last: Array, h: Array) -> Array:
         """Return how much more values change from `first` to `last` (size, N), `h` later, than their mean rates say."""
-        way = last[self.values] - first[self.values]
-        way -= h / 2.0 * np.where(self.rates[:, None] < 0, 0.0, first[self.rates] + last[self.rates])
-        if self.wraps.any():
+        way, rates = last[self.values] - first[self.values], first[self.rates] + last[self.rates]
+        if self.incomplete:
+            rates[self.rates < 0] = 0.0
+        rates *= h / 2.0
+        way -= rates
+        if self.turns:
             way[self.wraps] = wrapped_angle(way[self.wraps])
-        missed: Array = np.abs(way)
+        missed: Array = np.abs(way, out=way)
         return missed
 
 
@@ -149,10 +163,11 @@ def coordinate_rows(array: DerivativeArray) -> Rows:
 
 
 @made_once
-def _velocity_rows(array: DerivativeArray) -> tuple[Places, Rows]:
-    """Return the coordinates whose accelerations are known, and their velocities."""
-    known = [j for j in range(len(array.system.coordinates)) if (j, 2) in array.unknowns]
-    return np.array(known, dtype=np.intp), Rows.of(array, [(j, 1) for j in known])
+def _motion_rows(array: DerivativeArray) -> tuple[Places, Rows]:
+    """Return the coordinates whose accelerations are known; and all coordinates with the velocities of these."""
+    every = range(len(array.system.coordinates))
+    known = [j for j in every if (j, 2) in array.unknowns]
+    return np.array(known, dtype=np.intp), Rows.of(array, [*((j, 0) for j in every), *((j, 1) for j in known)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,16 +191,18 @@ class Branch:
 
     def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
-        rows = self.rows
-        missed, (known, velocities) = rows.missed(first, last, h), _velocity_rows(self.problem.array)
+        rows, (known, watched) = self.rows, _motion_rows(self.problem.array)
+        missed = watched.missed(first, last, h)
+        missed, velocities = missed[: len(self.scale)], missed[len(self.scale) :]
         # A velocity that changes over in the middle of an interval leaves the mean rate.
-        missed[known] += np.abs(h) / 2.0 * velocities.missed(first, last, h)
+        missed[known] += np.abs(h) / 2.0 * velocities
         allowed = slight * self.scale[:, None]
-        if not (missed <= allowed).all():
+        within = (missed <= allowed).all(axis=0)
+        if not within.all():
             lengths = np.abs(h) * (np.abs(first[rows.rates]) + np.abs(last[rows.rates]))
             lengths += np.where(rows.wraps[:, None], 0.0, np.abs(last[rows.values] - first[rows.values]))
-            allowed = np.maximum(DISAGREEMENT * lengths, allowed)
-        return ~np.asarray((missed <= allowed).all(axis=0))  # so that NaN counts
+            within = (missed <= np.maximum(DISAGREEMENT * lengths, allowed)).all(axis=0)
+        return ~np.asarray(within)  # so that NaN counts
 
     def determinants(self, t: Array, states: Array) -> Array:
         """Return the determinants of the system Jacobian's diagonal blocks, shape (blocks, N)."""
@@ -245,12 +262,12 @@ def on_one_branch(
 
     `known` are the determinants of the answers that are given, where they are known.
     """
-    branch = Branch.of(problem, states)
+    branch = Branch.of(problem, some_of(states))
     kept = _with_a_beginning(branch, t, states)
     incomplete = kept is not states
     known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
-    waiting, replaced = sorted({*np.flatnonzero(_far(branch, t, kept)).tolist(), *changes}, reverse=True), False
+    waiting, replaced = sorted({*_far(branch, t, kept), *changes}, reverse=True), False
     if len(waiting) > _MOST_FOLLOWED and is_closed_form(problem, t, states):
         return states, CLOSED_FORM, ()
     while waiting:
@@ -288,13 +305,18 @@ def _with_a_beginning(branch: Branch, t: Array, states: Array) -> Array:
     return kept
 
 
-def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
+def some_of(values: Array) -> Array:
+    """Return values (..., N) at the ends of `MANY` intervals at most, the first and the last among them."""
+    every = -(-(values.shape[-1] - 1) // MANY)
+    # Rows stay contiguous, which they do not where columns are chosen by an index.
+    return values if every <= 1 else np.concatenate([values[..., :-1:every], values[..., -1:]], axis=-1)
+
+
+def _far(branch: Branch, t: Array, states: Array) -> list[int]:
     """Return the intervals over which derivatives disagree, of very many instants those between some of them."""
-    every = -(-(len(t) - 1) // MANY)
-    looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
-    some = states if every == 1 else states[:, looked]
-    far = branch.apart(some[:, :-1], some[:, 1:], np.diff(t[looked]))
-    return np.repeat(far, np.diff(looked)) if every > 1 else far
+    looked, some, last = some_of(t), some_of(states), len(t) - 1
+    far, every = np.flatnonzero(branch.apart(some[:, :-1], some[:, 1:], np.diff(looked))), -(-last // MANY)
+    return [k for first in (every * far).tolist() for k in range(first, min(first + every, last))]
 
 
 def _constraints_of(problem: Problem, blocks: Places) -> str:
@@ -342,9 +364,9 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
-    ends = known.min(axis=1), known.max(axis=1)
+    ends = zip(known.min(axis=1).tolist(), known.max(axis=1).tolist(), strict=True)
     # Of one sign and one size, they neither change it nor vanish.
-    if (np.minimum(*np.abs(ends)) * np.sign(ends[0]) * np.sign(ends[1]) > _ON_IT * np.maximum(*np.abs(ends))).all():
+    if all(low > _ON_IT * high > 0.0 or high < _ON_IT * low < 0.0 for low, high in ends):
         return [], []
     problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):
