@@ -294,11 +294,13 @@ def on_one_branch(
 
 def _with_a_beginning(branch: Branch, t: Array, states: Array) -> Array:
     """Return answers with those before the first that was found, followed backwards; a copy if any is missing."""
-    solved, name = np.flatnonzero(np.isfinite(states[0])), branch.problem.system.name
-    if not len(solved):
+    found, name = np.isfinite(states[0]), branch.problem.system.name
+    if found.all():
+        return states
+    if not found.any():
         raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
-    kept = states.copy() if len(solved) < len(t) else states
-    for k in range(int(solved[0]), 0, -1):
+    kept = states.copy()
+    for k in range(int(found.argmax()), 0, -1):
         kept[:, k - 1], time = branch.follow(kept[:, k], float(t[k]), float(t[k - 1]))
         if time != t[k - 1]:
             raise IntegrationFailed(f"{name}: no answer was found at t = {t[k - 1]:.6g} s, nor from the instants after")

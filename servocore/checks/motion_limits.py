@@ -53,9 +53,8 @@ def first_broken(
     """
     if limit.over_run:
         t, values, evaluate = t[-1:], values[-1:], None
-    if (
-        limit.bound <= values.min(initial=np.inf) and values.max(initial=-np.inf) <= limit.upper
-    ):  # not where one is no number
+    low, high = values.min(initial=np.inf), values.max(initial=-np.inf)
+    if limit.bound <= low and high <= limit.upper:  # not where one is no number
         return None
     bounds = [abs(each) for each in (limit.bound, limit.upper) if np.isfinite(each)]
     size = max(bounds, default=0.0) or float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
