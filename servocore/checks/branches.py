@@ -262,12 +262,14 @@ def on_one_branch(
 
     `known` are the determinants of the answers that are given, where they are known.
     """
-    branch = Branch.of(problem, some_of(states))
+    some = some_of(states)
+    branch = Branch.of(problem, some)
     kept = _with_a_beginning(branch, t, states)
     incomplete = kept is not states
+    far = _far(branch, t, some_of(kept) if incomplete else some)
     known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
-    waiting, replaced = sorted({*_far(branch, t, kept), *changes}, reverse=True), False
+    waiting, replaced = sorted({*far, *changes}, reverse=True), False
     if len(waiting) > _MOST_FOLLOWED and is_closed_form(problem, t, states):
         return states, CLOSED_FORM, ()
     while waiting:
@@ -314,10 +316,10 @@ def some_of(values: Array) -> Array:
     return values if every <= 1 else np.concatenate([values[..., :-1:every], values[..., -1:]], axis=-1)
 
 
-def _far(branch: Branch, t: Array, states: Array) -> list[int]:
-    """Return the intervals over which derivatives disagree, of very many instants those between some of them."""
-    looked, some, last = some_of(t), some_of(states), len(t) - 1
-    far, every = np.flatnonzero(branch.apart(some[:, :-1], some[:, 1:], np.diff(looked))), -(-last // MANY)
+def _far(branch: Branch, t: Array, some: Array) -> list[int]:
+    """Return the intervals over which derivatives disagree, of very many instants those between `some_of` them."""
+    last = len(t) - 1
+    far, every = np.flatnonzero(branch.apart(some[:, :-1], some[:, 1:], np.diff(some_of(t)))), -(-last // MANY)
     return [k for first in (every * far).tolist() for k in range(first, min(first + every, last))]
 
 
