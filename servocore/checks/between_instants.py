@@ -82,8 +82,7 @@ def look(
         missed = rows.missed(left.states, right.states, right.t - left.t)
         kept = np.flatnonzero((missed > least).any(axis=0))
         if len(kept):
-            worst = (missed[:, kept] / least).max(axis=0)
-            kept = kept[np.argsort(-worst, kind="stable")[:_MOST]]
+            kept = kept[np.argsort(-(missed[:, kept] / least).max(axis=0), kind="stable")[:_MOST]]
         left, right = left.of(kept), right.of(kept)
         if not len(kept) or (right.t - left.t).max() <= ROUND_OFF * max(np.ptp(at.t), float(np.abs(at.t).max())):
             break

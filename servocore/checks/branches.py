@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -107,7 +106,8 @@ def ahead(array: DerivativeArray, states: Array, h: Array) -> Array:
 class Rows:
     """Unknowns that are watched, the places of their rates (-1 where unknown), and which of them wrap.
 
-    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`.
+    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`. `incomplete` says
+    whether some rates are unknown, and `turns` whether some unknowns wrap.
     """
 
     values: Places
@@ -115,16 +115,8 @@ class Rows:
     wraps: npt.NDArray[np.bool_]
     coordinates: Places
     still: Array
-
-    @cached_property
-    def incomplete(self) -> bool:
-        """Whether a rate is unknown."""
-        return bool((self.rates < 0).any())
-
-    @cached_property
-    def turns(self) -> bool:
-        """Whether a value wraps."""
-        return bool(self.wraps.any())
+    incomplete: bool
+    turns: bool
 
     @classmethod
     def of(cls, array: DerivativeArray, watched: Sequence[tuple[int, int]]) -> Rows:
@@ -134,7 +126,7 @@ class Rows:
         values, rates, coordinates = np.array(at, dtype=np.intp).reshape(-1, 3).T
         wraps = np.array([system.quantities[j].wraps and k == 0 for j, k in watched], dtype=bool)
         still = ROUND_OFF * np.array(system.nominal)[[j for j, _ in watched]]
-        return cls(values, rates, wraps, coordinates, still)
+        return cls(values, rates, wraps, coordinates, still, bool((rates < 0).any()), bool(wraps.any()))
 
     def ranges(self, states: Array) -> Array:
         """Return the ranges of the values of unknowns (size, N), infinite where a coordinate rests."""

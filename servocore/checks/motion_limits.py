@@ -54,7 +54,7 @@ def first_broken(
     if limit.over_run:
         t, values, evaluate = t[-1:], values[-1:], None
     low, high = values.min(initial=np.inf), values.max(initial=-np.inf)
-    if limit.bound <= low and high <= limit.upper:  # not where one is no number
+    if -np.inf < low >= limit.bound and np.inf > high <= limit.upper:  # not where one is no number
         return None
     bounds = [abs(each) for each in (limit.bound, limit.upper) if np.isfinite(each)]
     size = max(bounds, default=0.0) or float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
@@ -96,8 +96,7 @@ def limited_values(motion: Motion, t: Array | None = None) -> Array:
     if not limits:
         return np.zeros((0, len(motion.t if t is None else t)))
     watched, problem = watched_limits(motion.problem), motion.problem
-    values = _observed_limits(motion) if t is None else watched.values(problem, t, motion.at(t))
-    values = watched.values(problem, motion.t, motion.states) if values is None else values
+    values = _at_its_instants(motion, watched) if t is None else watched.values(problem, t, motion.at(t))
     of_run = [(k, added) for k, limit in enumerate(limits) if (added := limit.over_run)]
     whole = watched.values(problem, motion.t, motion.states) if of_run and t is not None else values
     for k, added in of_run:
@@ -106,11 +105,11 @@ def limited_values(motion: Motion, t: Array | None = None) -> Array:
     return np.where(angles[:, None], np.unwrap(values, axis=1), values) if angles.any() else values
 
 
-def _observed_limits(motion: Motion) -> Array | None:
-    """Return the quantities of the `motion_limits` at the instants of a motion if all are observed there."""
+def _at_its_instants(motion: Motion, watched: Watched) -> Array:
+    """Return the quantities of the `motion_limits` at the instants of a motion, those that are observed if all are."""
     names = [each.reported for each in motion.problem.motion_limits if not (each.rate or each.over_run)]
     if motion.values is None or len(names) < len(motion.problem.motion_limits) or "" in names:
-        return None
+        return watched.values(motion.problem, motion.t, motion.states)
     known = [channel.name for channel in program_of(motion.problem, Reduced()).channels]
     return motion.values[[known.index(name) for name in names]]
 

@@ -173,17 +173,16 @@ def _checked(problem: Problem, route: Route, solution: Solution) -> Statistics:
 
 def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
     """Yield what the checks find, refusals first."""
-    motion, t, coordinates = solution.motion, solution.t, problem.system.coordinates.names
+    motion, coordinates = solution.motion, problem.system.coordinates.names
     if motion is None and not set(coordinates) <= set(solution.names):
         return  # a user's route reports what it will
-    kinked = problem.resolved.holds(KINKS)
+    t, kinked = solution.t if motion is None else motion.t, problem.resolved.holds(KINKS)
     if kinked or problem.resolved.redundant or problem.resolved.mass_varies:
         from servocore.checks.along_motion import jumps, left_out, negative_masses  # noqa: PLC0415 - many need none
 
-        at = t if motion is None else motion.t
         q = np.stack([solution[name] for name in coordinates]) if motion is None else motion.q
-        yield from negative_masses(problem, at, q)
-        yield from left_out(problem, at, q)
+        yield from negative_masses(problem, t, q)
+        yield from left_out(problem, t, q)
     if not problem.flat:
         inputs = solution.values[:, : len(problem.system.inputs)]
         odd = steps_that_stand_out(inputs)
