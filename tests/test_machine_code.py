@@ -181,7 +181,7 @@ def test_a_path_gives_the_same_bits_as_a_formula(profile: sc.Profile) -> None:
         np.testing.assert_array_equal(found.reshape(order + 1, 3, -1).transpose(2, 0, 1), path.jet(t, order))
 
 
-@pytest.mark.parametrize("name", ["rotary_crane", "gantry_crane"])
+@pytest.mark.parametrize("name", ["rotary_crane", "gantry_crane", "overhead_crane"])
 @pytest.mark.usefixtures("compiler")
 def test_a_solution_has_the_same_bits_but_for_angles(name: str) -> None:
     scene = getattr(sc.scenes, name)()
