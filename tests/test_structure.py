@@ -5,12 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from problems import (
-    car_chain,
-    changed,
-    redundant_pendulum,
-    scene,
-)
+from problems import car_chain, changed, redundant_pendulum, scene
 
 import servocore as sc
 from servocore.structure.derivative_array import analyse_structure, second_order_equations

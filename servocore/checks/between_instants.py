@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, MANY, Passage, Places, Rows
+from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, Passage, Places, Rows, some_of
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
@@ -79,9 +79,10 @@ def look(
         left, right = left.of(regular), right.of(regular)
     least = np.where(ranges > 0.0, share * ranges, np.inf)[:, None]
     for _ in range(BISECTIONS):
-        worst = (rows.missed(left.states, right.states, right.t - left.t) / least).max(axis=0, initial=0.0)
-        kept = np.flatnonzero(worst > 1.0)
-        kept = kept[np.argsort(-worst[kept], kind="stable")[:_MOST]]
+        missed = rows.missed(left.states, right.states, right.t - left.t)
+        kept = np.flatnonzero((missed > least).any(axis=0))
+        if len(kept):
+            kept = kept[np.argsort(-(missed[:, kept] / least).max(axis=0), kind="stable")[:_MOST]]
         left, right = left.of(kept), right.of(kept)
         if not len(kept) or (right.t - left.t).max() <= ROUND_OFF * max(np.ptp(at.t), float(np.abs(at.t).max())):
             break
@@ -152,7 +153,7 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
 
 def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
     """Return moments between the instants, and which of them are beside singularities that are passed."""
-    some = Moments(motion.t, motion.states).of(slice(None, None, -(-(len(motion.t) - 1) // MANY)))
+    some = Moments(some_of(motion.t), some_of(motion.states))
     between, *_ = look(motion.beside, some, _highest(motion.problem.array), DISAGREEMENT, motion.passages)
     inside = [each for each in motion.passages if each.before < each.after]
     if not inside:

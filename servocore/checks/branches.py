@@ -106,7 +106,8 @@ def ahead(array: DerivativeArray, states: Array, h: Array) -> Array:
 class Rows:
     """Unknowns that are watched, the places of their rates (-1 where unknown), and which of them wrap.
 
-    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`.
+    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`. `incomplete` says
+    whether some rates are unknown, and `turns` whether some unknowns wrap.
     """
 
     values: Places
@@ -114,6 +115,8 @@ class Rows:
     wraps: npt.NDArray[np.bool_]
     coordinates: Places
     still: Array
+    incomplete: bool
+    turns: bool
 
     @classmethod
     def of(cls, array: DerivativeArray, watched: Sequence[tuple[int, int]]) -> Rows:
@@ -123,7 +126,7 @@ class Rows:
         values, rates, coordinates = np.array(at, dtype=np.intp).reshape(-1, 3).T
         wraps = np.array([system.quantities[j].wraps and k == 0 for j, k in watched], dtype=bool)
         still = ROUND_OFF * np.array(system.nominal)[[j for j, _ in watched]]
-        return cls(values, rates, wraps, coordinates, still)
+        return cls(values, rates, wraps, coordinates, still, bool((rates < 0).any()), bool(wraps.any()))
 
     def ranges(self, states: Array) -> Array:
         """Return the ranges of the values of unknowns (size, N), infinite where a coordinate rests."""
@@ -134,11 +137,14 @@ class Rows:
 
     def missed(self, first: Array, last: Array, h: Array) -> Array:
         """Return how much more values change from `first` to `last` (size, N), `h` later, than their mean rates say."""
-        way = last[self.values] - first[self.values]
-        way -= h / 2.0 * np.where(self.rates[:, None] < 0, 0.0, first[self.rates] + last[self.rates])
-        if self.wraps.any():
+        way, rates = last[self.values] - first[self.values], first[self.rates] + last[self.rates]
+        if self.incomplete:
+            rates[self.rates < 0] = 0.0
+        rates *= h / 2.0
+        way -= rates
+        if self.turns:
             way[self.wraps] = wrapped_angle(way[self.wraps])
-        missed: Array = np.abs(way)
+        missed: Array = np.abs(way, out=way)
         return missed
 
 
@@ -149,10 +155,11 @@ def coordinate_rows(array: DerivativeArray) -> Rows:
 
 
 @made_once
-def _velocity_rows(array: DerivativeArray) -> tuple[Places, Rows]:
-    """Return the coordinates whose accelerations are known, and their velocities."""
-    known = [j for j in range(len(array.system.coordinates)) if (j, 2) in array.unknowns]
-    return np.array(known, dtype=np.intp), Rows.of(array, [(j, 1) for j in known])
+def _motion_rows(array: DerivativeArray) -> tuple[Places, Rows]:
+    """Return the coordinates whose accelerations are known; and all coordinates with the velocities of these."""
+    every = range(len(array.system.coordinates))
+    known = [j for j in every if (j, 2) in array.unknowns]
+    return np.array(known, dtype=np.intp), Rows.of(array, [*((j, 0) for j in every), *((j, 1) for j in known)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,16 +183,18 @@ class Branch:
 
     def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
-        rows = self.rows
-        missed, (known, velocities) = rows.missed(first, last, h), _velocity_rows(self.problem.array)
+        rows, (known, watched) = self.rows, _motion_rows(self.problem.array)
+        missed = watched.missed(first, last, h)
+        missed, velocities = missed[: len(self.scale)], missed[len(self.scale) :]
         # A velocity that changes over in the middle of an interval leaves the mean rate.
-        missed[known] += np.abs(h) / 2.0 * velocities.missed(first, last, h)
+        missed[known] += np.abs(h) / 2.0 * velocities
         allowed = slight * self.scale[:, None]
-        if not (missed <= allowed).all():
+        within = (missed <= allowed).all(axis=0)
+        if not within.all():
             lengths = np.abs(h) * (np.abs(first[rows.rates]) + np.abs(last[rows.rates]))
             lengths += np.where(rows.wraps[:, None], 0.0, np.abs(last[rows.values] - first[rows.values]))
-            allowed = np.maximum(DISAGREEMENT * lengths, allowed)
-        return ~np.asarray((missed <= allowed).all(axis=0))  # so that NaN counts
+            within = (missed <= np.maximum(DISAGREEMENT * lengths, allowed)).all(axis=0)
+        return ~np.asarray(within)  # so that NaN counts
 
     def determinants(self, t: Array, states: Array) -> Array:
         """Return the determinants of the system Jacobian's diagonal blocks, shape (blocks, N)."""
@@ -245,12 +254,14 @@ def on_one_branch(
 
     `known` are the determinants of the answers that are given, where they are known.
     """
-    branch = Branch.of(problem, states)
+    some = some_of(states)
+    branch = Branch.of(problem, some)
     kept = _with_a_beginning(branch, t, states)
     incomplete = kept is not states
+    far = _far(branch, t, some_of(kept) if incomplete else some)
     known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
-    waiting, replaced = sorted({*np.flatnonzero(_far(branch, t, kept)).tolist(), *changes}, reverse=True), False
+    waiting, replaced = sorted({*far, *changes}, reverse=True), False
     if len(waiting) > _MOST_FOLLOWED and is_closed_form(problem, t, states):
         return states, CLOSED_FORM, ()
     while waiting:
@@ -277,24 +288,31 @@ def on_one_branch(
 
 def _with_a_beginning(branch: Branch, t: Array, states: Array) -> Array:
     """Return answers with those before the first that was found, followed backwards; a copy if any is missing."""
-    solved, name = np.flatnonzero(np.isfinite(states[0])), branch.problem.system.name
-    if not len(solved):
+    found, name = np.isfinite(states[0]), branch.problem.system.name
+    if found.all():
+        return states
+    if not found.any():
         raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
-    kept = states.copy() if len(solved) < len(t) else states
-    for k in range(int(solved[0]), 0, -1):
+    kept = states.copy()
+    for k in range(int(found.argmax()), 0, -1):
         kept[:, k - 1], time = branch.follow(kept[:, k], float(t[k]), float(t[k - 1]))
         if time != t[k - 1]:
             raise IntegrationFailed(f"{name}: no answer was found at t = {t[k - 1]:.6g} s, nor from the instants after")
     return kept
 
 
-def _far(branch: Branch, t: Array, states: Array) -> npt.NDArray[np.bool_]:
-    """Return the intervals over which derivatives disagree, of very many instants those between some of them."""
-    every = -(-(len(t) - 1) // MANY)
-    looked = np.append(np.arange(0, len(t) - 1, every), len(t) - 1)
-    some = states if every == 1 else states[:, looked]
-    far = branch.apart(some[:, :-1], some[:, 1:], np.diff(t[looked]))
-    return np.repeat(far, np.diff(looked)) if every > 1 else far
+def some_of(values: Array) -> Array:
+    """Return values (..., N) at the ends of `MANY` intervals at most, the first and the last among them."""
+    every = -(-(values.shape[-1] - 1) // MANY)
+    # Rows stay contiguous, which they do not where columns are chosen by an index.
+    return values if every <= 1 else np.concatenate([values[..., :-1:every], values[..., -1:]], axis=-1)
+
+
+def _far(branch: Branch, t: Array, some: Array) -> list[int]:
+    """Return the intervals over which derivatives disagree, of very many instants those between `some_of` them."""
+    last = len(t) - 1
+    far, every = np.flatnonzero(branch.apart(some[:, :-1], some[:, 1:], np.diff(some_of(t)))), -(-last // MANY)
+    return [k for first in (every * far).tolist() for k in range(first, min(first + every, last))]
 
 
 def _constraints_of(problem: Problem, blocks: Places) -> str:
@@ -342,9 +360,9 @@ def _sign_changes(branch: Branch, t: Array, states: Array, known: Array) -> tupl
     IntegrationFailed
         For an instant that is singular itself.
     """
-    ends = known.min(axis=1), known.max(axis=1)
+    ends = zip(known.min(axis=1).tolist(), known.max(axis=1).tolist(), strict=True)
     # Of one sign and one size, they neither change it nor vanish.
-    if (np.minimum(*np.abs(ends)) * np.sign(ends[0]) * np.sign(ends[1]) > _ON_IT * np.maximum(*np.abs(ends))).all():
+    if all(low > _ON_IT * high > 0.0 or high < _ON_IT * low < 0.0 for low, high in ends):
         return [], []
     problem, passages, sizes = branch.problem, list[Passage](), np.abs(known)
     for k, time in ((0, float(t[0])), (-1, float(t[-1]))):

@@ -17,6 +17,7 @@ import numpy as np
 from servocore.checks.findings import ROUND_OFF, bisected, least_between
 from servocore.checks.motion import Motion
 from servocore.errors import InvalidReference, LimitBroken
+from servocore.formulations.reduced import Reduced
 from servocore.model.limits import Expression, Limit
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
@@ -24,6 +25,7 @@ from servocore.numerics.expressions import time_derivative
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.solution import Margin, Solution
+from servocore.stepping.program import program_of
 from servocore.stepping.readings import Watched, compile_watched
 
 HIDDEN = "limit "
@@ -51,6 +53,9 @@ def first_broken(
     """
     if limit.over_run:
         t, values, evaluate = t[-1:], values[-1:], None
+    low, high = values.min(initial=np.inf), values.max(initial=-np.inf)
+    if -np.inf < low >= limit.bound and np.inf > high <= limit.upper:  # not where one is no number
+        return None
     bounds = [abs(each) for each in (limit.bound, limit.upper) if np.isfinite(each)]
     size = max(bounds, default=0.0) or float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
     margins = margin_within(limit, values, size)
@@ -91,13 +96,22 @@ def limited_values(motion: Motion, t: Array | None = None) -> Array:
     if not limits:
         return np.zeros((0, len(motion.t if t is None else t)))
     watched, problem = watched_limits(motion.problem), motion.problem
-    values = watched.values(problem, *((motion.t, motion.states) if t is None else (t, motion.at(t))))
+    values = _at_its_instants(motion, watched) if t is None else watched.values(problem, t, motion.at(t))
     of_run = [(k, added) for k, limit in enumerate(limits) if (added := limit.over_run)]
     whole = watched.values(problem, motion.t, motion.states) if of_run and t is not None else values
     for k, added in of_run:
         values[k] = added.course(motion.t, whole[k])[-1]
     angles = np.array([limit.counts_turns(problem.system) for limit in limits])
     return np.where(angles[:, None], np.unwrap(values, axis=1), values) if angles.any() else values
+
+
+def _at_its_instants(motion: Motion, watched: Watched) -> Array:
+    """Return the quantities of the `motion_limits` at the instants of a motion, those that are observed if all are."""
+    names = [each.reported for each in motion.problem.motion_limits if not (each.rate or each.over_run)]
+    if motion.values is None or len(names) < len(motion.problem.motion_limits) or "" in names:
+        return watched.values(motion.problem, motion.t, motion.states)
+    known = [channel.name for channel in program_of(motion.problem, Reduced()).channels]
+    return motion.values[[known.index(name) for name in names]]
 
 
 def require_limits(motion: Motion) -> Array:

@@ -209,7 +209,10 @@ class RunQuantity(Quantity):
         from scipy.integrate import cumulative_simpson  # noqa: PLC0415 - few runs integrate what they report
 
         at_start = np.sqrt(integrands[..., :1]) if self.rms else np.zeros((*integrands.shape[:-1], 1))
-        later = self.of_sum(cumulative_simpson(integrands, x=t), t[..., 1:] - t[..., :1])
+        # Of instants evenly apart it takes a quarter of the time; their differences are even up to round-off.
+        even = t.ndim == 1 < len(t) and np.ptp(np.diff(t)) <= 4.0 * np.spacing(max(abs(t[0]), abs(t[-1])))
+        spacing = {"dx": (t[-1] - t[0]) / (len(t) - 1)} if even else {"x": t}
+        later = self.of_sum(cumulative_simpson(integrands, **spacing), t[..., 1:] - t[..., :1])
         return np.concatenate([at_start, later], axis=-1)
 
 

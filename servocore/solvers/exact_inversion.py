@@ -110,12 +110,12 @@ class Pointwise(JudgedRoute):
             if progress is not None:
                 progress(min(k + chunk, count) - 1, count - 1)
         states, counts, residuals, *looked = results
-        good = np.isfinite(residuals)
-        if not good.all():
-            states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
-            residuals = np.where(good, residuals, 0.0)
-        iterations, factorizations = counts.sum(axis=1).round()
         worst = float(residuals.max())
+        if not np.isfinite(worst):
+            good = np.isfinite(residuals)
+            states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
+            worst = float(residuals.max(where=good, initial=0.0))
+        iterations, factorizations = counts.sum(axis=1).round()
         return Run(program, times, states, int(iterations), int(factorizations), worst, tuple(looked))
 
 

@@ -173,17 +173,14 @@ def _checked(problem: Problem, route: Route, solution: Solution) -> Statistics:
 
 def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
     """Yield what the checks find, refusals first."""
-    motion, t = solution.motion, solution.t
-    if motion is not None:
-        t, q = motion.t, motion.q
-    elif set(problem.system.coordinates.names) <= set(solution.names):
-        q = np.stack([solution[name] for name in problem.system.coordinates.names])
-    else:
+    motion, coordinates = solution.motion, problem.system.coordinates.names
+    if motion is None and not set(coordinates) <= set(solution.names):
         return  # a user's route reports what it will
-    kinked = problem.resolved.holds(KINKS)
+    t, kinked = solution.t if motion is None else motion.t, problem.resolved.holds(KINKS)
     if kinked or problem.resolved.redundant or problem.resolved.mass_varies:
         from servocore.checks.along_motion import jumps, left_out, negative_masses  # noqa: PLC0415 - many need none
 
+        q = np.stack([solution[name] for name in coordinates]) if motion is None else motion.q
         yield from negative_masses(problem, t, q)
         yield from left_out(problem, t, q)
     if not problem.flat:

@@ -53,7 +53,7 @@ class PathFunction:
         InvalidSetting
             If there is no C compiler.
         """
-        if self._native:
+        if self._native and not self._made_for(reference):
             self._on_path(reference, MANY)
 
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
@@ -92,7 +92,12 @@ class PathFunction:
 
     def ready(self, problem: Problem, count: int) -> bool:
         """Whether machine code for so many instants is compiled."""
-        return self._on_path(problem.reference, count)[0].ready(count, called=False)
+        path = problem.reference
+        return self._made_for(path) or self._on_path(path, count)[0].ready(count, called=False)
+
+    def _made_for(self, reference: Reference) -> bool:
+        """Whether machine code of this path was the last to be run."""
+        return any(path is reference for path, *_ in self._last)
 
     @cached_property  # not needed where all paths are formulas in machine code
     def _of_jets(self) -> Vectorized:
