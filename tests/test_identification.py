@@ -229,7 +229,7 @@ def test_a_bad_log_is_refused_by_one_sentence(kind: str) -> None:
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("wrong", [{"jobs": JOB}, {"jobs": [3]}, {"loops": 6.0}, {"parameters": None}])
+@pytest.mark.parametrize("wrong", [{"jobs": JOB}, {"jobs": [3]}, {"loops": 6.0}, {"parameters": None}, {"believed": 2}])
 def test_arguments_of_another_kind_are_refused(wrong: Any) -> None:
     with pytest.raises(sc.ServocoreError, match="must be"):
         sc.identify(CRANE, log(), **{"parameters": NAMES} | wrong)
