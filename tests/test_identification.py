@@ -204,7 +204,8 @@ def test_a_plant_whose_internal_dynamics_are_unstable_is_driven_from_before_its_
 
 
 Columns = dict[str, Array]
-BAD: dict[str, tuple[str, Callable[[Columns], Columns]]] = {
+BAD: dict[str, tuple[str, Callable[[Columns], Columns | list[Columns]]]] = {
+    "twice": ("^log 1 and log 2 hold the same samples", lambda c: [c, c]),
     "too short": ("is too short", lambda c: {k: v[:500] for k, v in c.items()}),
     "constant": ("is 0 throughout", lambda c: {**c, "F": 0 * c["F"]}),
     "saturated": ("is saturated", lambda c: {**c, "F": np.clip(c["F"], -5, 5)}),
