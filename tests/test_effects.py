@@ -127,12 +127,10 @@ AT_REST: list[tuple[str, dict[str, float], dict[str, float]]] = [
 ]
 
 
-@pytest.mark.parametrize(("effect", "parameters", "expected"), AT_REST)
-def test_at_rest_effects_have_closed_forms(
-    effect: str, parameters: dict[str, float], expected: dict[str, float]
-) -> None:
+@pytest.mark.parametrize(("effect", "given", "expected"), AT_REST)
+def test_at_rest_effects_have_closed_forms(effect: str, given: dict[str, float], expected: dict[str, float]) -> None:
     scene = smooth(crane("overhead_crane").with_effects(effect), 5.0)
-    solution = sc.solve(scene.with_parameters(**parameters), step=5.0)
+    solution = sc.solve(scene.with_parameters(**given), step=5.0)
     assert {name: solution[name][0] for name in expected} == pytest.approx(expected, rel=1e-12)
 
 

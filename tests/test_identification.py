@@ -310,9 +310,8 @@ def test_an_exciting_path_predicts_the_standard_errors_of_its_log(kind: str, mon
     run = sc.solve(moved.with_limits(**limits), step=0.005)  # which refuses a path that breaks a limit
     size = 0.01 * sc.solve(scene)["u"].std()
     noisy = run["u"] + size * np.random.default_rng(0).standard_normal(len(run.t))
-    result = sc.identify(
-        scene, {"time": run.t, "u": noisy, **{each: np.round(run[each], 5) for each in measured}}, list(true)
-    )
+    columns = {"time": run.t, "u": noisy, **{each: np.round(run[each], 5) for each in measured}}
+    result = sc.identify(scene, columns, list(true))
     assert np.abs(z_scores(result, scene)).max() < 4.0
     for name, value in result.values.items():
         assert report.standard_errors[name] == pytest.approx(result.standard_errors[name] / value, rel=0.3)
