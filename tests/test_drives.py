@@ -32,6 +32,7 @@ from servocore.model.parameter_files import read_drives
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import prepared_motion
 
+pytestmark = pytest.mark.usefixtures("empty_folder")
 ARM = Path(__file__).parent / "mechanisms" / "arm.urdf"
 SHEET = """
 F = {ratio = 25, drum_radius = "125 mm", motor_inertia = "4 kg cm^2", viscous = 2e-4, coulomb = 0.02}
@@ -259,7 +260,6 @@ M_B = 'M_b = {ratio = 120, motor_inertia = "0.012 kg m^2", coulomb = "0.15 N m",
 SHEET_OF_CRANE, CRANE = M_B + SHEET, sc.scenes.rotary_crane()
 
 
-@pytest.mark.usefixtures("empty_folder")
 def test_the_feedback_of_a_crane_with_drives_returns_exact_inputs_where_the_load_is_on_its_path() -> None:
     write("drives.toml", SHEET_OF_CRANE)
     crane = CRANE.with_drives(**read_drives("drives.toml", CRANE))
@@ -277,7 +277,6 @@ def test_the_feedback_of_a_crane_with_drives_returns_exact_inputs_where_the_load
 
 
 @pytest.mark.nightly
-@pytest.mark.usefixtures("empty_folder")
 @pytest.mark.parametrize("native", [False, True], ids=["Python", "native"])
 def test_feedback_keeps_the_load_of_a_crane_with_drives_on_its_path(native: bool) -> None:
     write("drives.toml", SHEET_OF_CRANE)
@@ -294,7 +293,6 @@ def test_feedback_keeps_the_load_of_a_crane_with_drives_on_its_path(native: bool
             assert rows[f"{part}.{name}"][-1] == pytest.approx(solution[name][-1], rel=2e-4), name
 
 
-@pytest.mark.usefixtures("empty_folder")
 def test_the_file_of_a_data_sheet_gives_the_drives_and_the_command_their_duty() -> None:
     write("drives.toml", SHEET)
     result = line("drives", "overhead_crane", "--drives", "drives.toml")
@@ -307,7 +305,6 @@ def test_the_file_of_a_data_sheet_gives_the_drives_and_the_command_their_duty() 
     assert f"{100 * (1 - effective / 5):.0f} %" in result.stdout
 
 
-@pytest.mark.usefixtures("empty_folder")
 def test_data_of_drives_are_identified_and_read_as_other_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("servocore.identification.excitation._TRIALS", 0)
     crane = sc.scenes.overhead_crane().with_drives(**DRIVES)
@@ -321,7 +318,6 @@ def test_data_of_drives_are_identified_and_read_as_other_parameters(monkeypatch:
     assert not line("drives", "overhead_crane", "--drives", "drives.toml", "--parameters", "identified.toml").exit_code
 
 
-@pytest.mark.usefixtures("empty_folder")
 @pytest.mark.parametrize("command", ["import", "drives"])
 def test_drives_of_a_robot_file_have_the_names_of_its_inputs(command: str) -> None:
     write("drives.toml", "[elbow.torque]\nratio = 100")
@@ -352,7 +348,6 @@ REFUSALS = {
 }
 
 
-@pytest.mark.usefixtures("empty_folder")
 @pytest.mark.parametrize(("old", "new"), REFUSALS)
 def test_wrong_data_are_refused_by_name(old: str, new: str) -> None:
     write("drives.toml", SHEET.replace(old, new, 1))
@@ -370,4 +365,6 @@ def test_drives_and_effects_go_together_and_drives_can_be_taken_away() -> None:
     assert sc.analyse(crane.with_effects("friction", "flexible rail")).index == 7
     assert crane.with_effects("hook").drives == DRIVES
     assert crane.with_drives(F=None, M_w=None).model() is sc.scenes.overhead_crane().model()
+    with pytest.raises(sc.InvalidModel, match="has no input M_q that a drive could act on; it has F, M_w"):
+        crane.with_drives(M_q=None)
     line.assert_refused(line("drives", "overhead_crane"), "overhead_crane has no drives")

@@ -125,12 +125,10 @@ AT_REST: list[tuple[str, dict[str, float], dict[str, float]]] = [
 ]
 
 
-@pytest.mark.parametrize(("effect", "parameters", "expected"), AT_REST)
-def test_at_rest_effects_have_closed_forms(
-    effect: str, parameters: dict[str, float], expected: dict[str, float]
-) -> None:
+@pytest.mark.parametrize(("effect", "given", "expected"), AT_REST)
+def test_at_rest_effects_have_closed_forms(effect: str, given: dict[str, float], expected: dict[str, float]) -> None:
     scene = smooth(crane("overhead_crane").with_effects(effect), 5.0)
-    solution = sc.solve(scene.with_parameters(**parameters), step=5.0)
+    solution = sc.solve(scene.with_parameters(**given), step=5.0)
     assert {name: solution[name][0] for name in expected} == pytest.approx(expected, rel=1e-12)
 
 
@@ -183,16 +181,17 @@ def test_equal_scenes_with_effects_share_what_was_made() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "names", "without"),
+    ("words", "name", "names", "without"),
     [
-        ("no effect is called stiction; there are elastic rope", ["stiction"], []),
-        ("choose one number of lumps", ["rope mass", "rope mass 2"], []),
-        ("cannot be both with and without hook", ["hook"], ["hook"]),
+        ("no effect is called stiction; there are elastic rope", "rotary_crane", ["stiction"], []),
+        ("choose one number of lumps", "rotary_crane", ["rope mass", "rope mass 2"], []),
+        ("cannot be both with and without hook", "rotary_crane", ["hook"], ["hook"]),
+        ("^cars declares no effects that could be added or left out$", "cars", [], []),
     ],
 )
-def test_effects_that_make_no_sense_are_refused_by_name(words: str, names: list[str], without: list[str]) -> None:
+def test_effects_that_make_no_sense_are_refused(words: str, name: str, names: list[str], without: list[str]) -> None:
     with pytest.raises(sc.InvalidModel, match=words):
-        crane("rotary_crane").with_effects(*names, without=without)
+        crane(name).with_effects(*names, without=without)
 
 
 # Reports.

@@ -32,6 +32,7 @@ REAL = CRANE.with_parameters(**TRUE)
 LIVELY = sc.through([[0.0, -4.0], [3.0, -2.5], [1.0, -5.0], [4.0, -3.0], [0.0, -4.0]], duration=12.0)
 JOB = sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 8.0)
 ESTIMATED = ("--effects", "friction", "--estimate", ",".join(NAMES))
+Columns = dict[str, Array]
 run = CommandLine(app, "servocore")
 
 
@@ -100,10 +101,15 @@ def test_quick_reversals_of_a_drive_do_not_pass_for_noise_of_its_input() -> None
     assert np.abs(np.divide(row.errors, row.bounds)).max() < 4.0
 
 
-def test_a_wrong_model_is_noticed() -> None:
-    with pytest.warns(sc.errors.ServocoreWarning, match="does not explain"):
-        result = sc.identify(sc.scenes.overhead_crane(), {name: each[::10] for name, each in log().items()}, NAMES[:3])
-    assert result.doubts
+def test_a_wrong_model_and_a_log_without_noise_are_told_apart() -> None:
+    with pytest.warns(sc.errors.ServocoreWarning, match="^the model does not explain F.*model does not explain M_w"):
+        assert sc.identify(
+            sc.scenes.overhead_crane(), {name: each[::10] for name, each in log().items()}, NAMES[:3]
+        ).doubts
+    run = sc.solve(REAL.with_reference(LIVELY), step=0.002)
+    exact = {"time": run.t, **{name: run[name] for name in ("F", "M_w", "s", "l")}}
+    with pytest.warns(sc.errors.ServocoreWarning, match="^F is logged without noise[^;]*; M_w is logged with[^;]*$"):
+        assert sc.identify(CRANE, exact, NAMES).doubts
 
 
 def test_friction_of_another_kind_is_noticed_where_noise_hides_it_from_correlations() -> None:
@@ -144,20 +150,17 @@ def axis() -> sc.Scene:
     return as_scene(system, sc.through([[0.0], [0.6], [0.1], [0.9], [0.0]], [0, 5, 11, 16, 25]))
 
 
-WITH_INTERNAL_DYNAMICS: dict[str, tuple[Callable[[], sc.Scene], tuple[str, ...], dict[str, float]]] = {
-    "mass_on_car": (
-        sc.scenes.mass_on_car, ("x", "s"), {"car_mass": 1.2, "mass": 2.3, "stiffness": 4.4, "damping": 1.2},
-    ),
-    "passive_joint_arm": (
-        sc.scenes.passive_joint_arm, ("a", "b"), {"second_mass": 3.4, "joint_damping": 1.3, "first_inertia": 1.1},
-    ),
-}  # fmt: skip
+WITH_INTERNAL_DYNAMICS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
+    "mass_on_car": (("x", "s"), {"car_mass": 1.2, "mass": 2.3, "stiffness": 4.4, "damping": 1.2}),
+    "passive_joint_arm": (("a", "b"), {"second_mass": 3.4, "joint_damping": 1.3, "first_inertia": 1.1}),
+}
 
 
 def identified(kind: str) -> tuple[sc.Identified, sc.Scene]:
     """Return what a log that begins in motion shows of a scene with internal dynamics, and its plant."""
-    factory, measured, true = WITH_INTERNAL_DYNAMICS[kind]
-    scene, path = factory(), sc.through([[0.0], [1.0], [0.2], [1.5], [0.0], [0.7], [0.0]], duration=10.0)
+    measured, true = WITH_INTERNAL_DYNAMICS[kind]
+    scene = sc.scenes.REGISTRY[kind]()
+    path = sc.through([[0.0], [1.0], [0.2], [1.5], [0.0], [0.7], [0.0]], duration=10.0)
     moved, real = (each.with_reference(path) for each in (scene, scene.with_parameters(**true)))
     run = sc.simulate(real, inputs=sc.solve(moved))
     t = np.arange(2.0, 10.0, 0.005)
@@ -178,7 +181,7 @@ def test_internal_dynamics_are_channels_of_their_own(kind: str) -> None:
 @pytest.mark.parametrize("kind", WITH_INTERNAL_DYNAMICS)
 def test_plants_with_parameters_drawn_from_the_estimates_stay_within_the_predicted_stray(kind: str) -> None:
     result, real = identified(kind)
-    job, drive = sc.rest_to_rest((0.0,), (1.0,), 3.0), WITH_INTERNAL_DYNAMICS[kind][1][:1]
+    job, drive = sc.rest_to_rest((0.0,), (1.0,), 3.0), WITH_INTERNAL_DYNAMICS[kind][0][:1]
     motion, stray = followed(result.scene().with_reference(job), drive, 501), result.stray(job)
 
     def strayed(plant: sc.Scene) -> float:
@@ -203,8 +206,8 @@ def test_a_plant_whose_internal_dynamics_are_unstable_is_driven_from_before_its_
     assert 1e-4 < run_loop(wrong, motion, motion.gains(sc.PositionLoops())).error < 0.1
 
 
-Columns = dict[str, Array]
-BAD: dict[str, tuple[str, Callable[[Columns], Columns]]] = {
+BAD: dict[str, tuple[str, Callable[[Columns], Columns | list[Columns]]]] = {
+    "twice": ("^log 1 and log 2 hold the same samples", lambda c: [c, c]),
     "too short": ("is too short", lambda c: {k: v[:500] for k, v in c.items()}),
     "constant": ("is 0 throughout", lambda c: {**c, "F": 0 * c["F"]}),
     "saturated": ("is saturated", lambda c: {**c, "F": np.clip(c["F"], -5, 5)}),
@@ -229,7 +232,7 @@ def test_a_bad_log_is_refused_by_one_sentence(kind: str) -> None:
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("wrong", [{"jobs": JOB}, {"jobs": [3]}, {"loops": 6.0}, {"parameters": None}])
+@pytest.mark.parametrize("wrong", [{"jobs": JOB}, {"jobs": [3]}, {"loops": 6.0}, {"parameters": None}, {"believed": 2}])
 def test_arguments_of_another_kind_are_refused(wrong: Any) -> None:
     with pytest.raises(sc.ServocoreError, match="must be"):
         sc.identify(CRANE, log(), **{"parameters": NAMES} | wrong)
@@ -277,9 +280,7 @@ def test_normal_equations_are_those_of_the_full_jacobian() -> None:
 
 
 @pytest.mark.usefixtures("empty_folder")
-def test_the_command_writes_an_exciting_path_that_keeps_its_limits_and_shows_more_than_the_default_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_exciting_path_is_written_that_keeps_limits_and_shows_more(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("_STARTS", "_TRIALS"):
         monkeypatch.setattr(f"servocore.identification.excitation.{name}", 5)
     limits = ("F=200", "swing=10deg", "x=-2..4", "z=-7..-2")
@@ -300,22 +301,19 @@ def test_an_excitation_without_limits_or_time_is_refused(limits: Any, duration: 
 
 
 @pytest.mark.parametrize("kind", WITH_INTERNAL_DYNAMICS)
-def test_an_exciting_path_predicts_the_standard_errors_of_its_log_with_internal_dynamics(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_exciting_path_predicts_the_standard_errors_of_its_log(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("servocore.identification.excitation._TRIALS", 5)
-    factory, measured, true = WITH_INTERNAL_DYNAMICS[kind]
+    measured, true = WITH_INTERNAL_DYNAMICS[kind]
     limits: dict[str, Any] = {"u": 8.0, measured[0]: (-2, 2)}
-    scene = factory()
+    scene = sc.scenes.REGISTRY[kind]()
     path, report = sc.excitation(scene, list(true), limits)
     assert report.gain > 1.5
     moved = scene.with_reference(path)
     run = sc.solve(moved.with_limits(**limits), step=0.005)  # which refuses a path that breaks a limit
     size = 0.01 * sc.solve(scene)["u"].std()
     noisy = run["u"] + size * np.random.default_rng(0).standard_normal(len(run.t))
-    result = sc.identify(
-        scene, {"time": run.t, "u": noisy, **{each: np.round(run[each], 5) for each in measured}}, list(true)
-    )
+    columns = {"time": run.t, "u": noisy, **{each: np.round(run[each], 5) for each in measured}}
+    result = sc.identify(scene, columns, list(true))
     assert np.abs(z_scores(result, scene)).max() < 4.0
     for name, value in result.values.items():
         assert report.standard_errors[name] == pytest.approx(result.standard_errors[name] / value, rel=0.3)

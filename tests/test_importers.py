@@ -288,11 +288,17 @@ def broken(text: str, rng: np.random.Generator) -> str:
     return f"{text[:begin]}{instead}{text[end:]}"
 
 
+def test_a_drive_that_moves_no_mass_is_warned_of(tmp_path: Path) -> None:
+    hand = "<link name='hand'/><joint name='grip' type='continuous'><parent link='tool'/><child link='hand'/></joint>"
+    (tmp_path / "hand.urdf").write_text(ARM.read_text().replace("</robot>", f"{hand}</robot>"))
+    with pytest.warns(sc.errors.ServocoreWarning, match="^hand.urdf: grip moves no mass, its drive does nothing"):
+        assert not sc.solve(sc.scenes.from_file(tmp_path / "hand.urdf"))["grip.torque"].any()
+    sc.scenes.from_file(tmp_path / "hand.urdf", locked=["grip"])
+
+
 @pytest.mark.parametrize("batch", thinned(range(10), lambda batch: batch == 0))
 @pytest.mark.parametrize("name", ["arm.urdf", "gantry.xml", "drone.xml", "fourbar.xml", "loop.sdf"])
-def test_files_broken_by_chance_are_read_or_refused_in_one_sentence_within_a_second(
-    name: str, batch: int, tmp_path: Path
-) -> None:
+def test_files_broken_by_chance_are_read_or_refused_within_a_second(name: str, batch: int, tmp_path: Path) -> None:
     path, text = tmp_path / name, (OWN / name).read_text()
     if name.endswith("xml"):
         peer("mujoco")

@@ -165,6 +165,7 @@ class TestWhatALimitIs:
             ({"F": float("nan")}, "the limit of F must be a number or a text with its unit, such as '2 N', not nan"),
             ({"F": sc}, "the limit of F must be a number or a text with its unit"),
             ({"phi": ("-170", "170")}, "the limit of phi is -170 without a unit: -170 rad would be -9740 deg"),
+            ({"force": None}, "rotary crane, points reports nothing called force that could have a limit"),
             ({"force.rate": 60}, "rotary crane, points reports nothing called force.rate that could have a limit"),
         ],
     )

@@ -97,8 +97,9 @@ servocore effects overhead_crane --parameters unknown.toml -> unknown.toml: no p
 servocore export cars -o x -> cannot write x: the name of an FMU ends with .fmu, or tools
 servocore export cars -o x.fmu --plant --cross-check -> --cross-check is for inverse models: not with --plant
 servocore export cars -o x.fmu --trajectory --wasm x.wasm -> --wasm is for inverse models: not with --trajectory
-servocore export cars --cross-check -> --cross-check belongs to an FMU: name it with -o FILE.fmu
 servocore export cars --fmi 3 -> --fmi belongs to an FMU: name it with -o FILE.fmu
+servocore export cars --cross-check -> --cross-check belongs to an FMU: name it with -o FILE.fmu
+servocore excite cars --estimate mass_1 --limit u=9 --uncertainty 20 -> must be a share, 1 at most, not 20: 0.2 is 20%
 servocore export cars --wasm x.js -> cannot write x.js: the name of a WebAssembly module ends with
 servocore export cars -o x.fmu --c x.fmu -> --c and --output both name x.fmu
 servocore cache clear now -> see servocore cache --help

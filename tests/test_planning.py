@@ -139,7 +139,7 @@ def feasible(intervals: int, duration: float) -> bool:
     return found.status == 0
 
 
-CAR = sc.scenes.mass_on_car()
+CAR, GANTRY = sc.scenes.mass_on_car(), sc.scenes.gantry_crane()
 
 
 @pytest.mark.parametrize(
@@ -150,12 +150,13 @@ CAR = sc.scenes.mass_on_car()
         (CRANE, LEVEL, DEFAULT, {}, "3 components, this one has 2"),
         (CRANE, LINE, DEFAULT, {"intervals": 7}, "even number of intervals"),
         (CRANE, LINE, DEFAULT, {"progress": 4}, "progress must be a function of a text, not 4"),
+        (GANTRY, GANTRY.reference, {"swing.rate": 1e-4}, {}, "; limit swing itself, or its rate less tightly$"),
     ],
 )
 def test_what_no_law_keeps_or_nobody_can_plan_is_refused(
     scene: sc.Scene, way: Any, limits: dict[str, Bounds] | None, settings: dict[str, Any], words: str
 ) -> None:
-    with pytest.raises((sc.InvalidReference, sc.InvalidSetting, sc.InvalidModel), match=words):
+    with pytest.raises((sc.InvalidReference, sc.InvalidSetting, sc.InvalidModel, sc.PlanningFailed), match=words):
         sc.fastest(scene, way, limits, **settings)
 
 

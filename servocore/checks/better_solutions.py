@@ -48,29 +48,50 @@ class Comparison:
         Better values there.
     basis : str
         Their source.
-    known : ndarray of bool, shape (inputs,)
-        Whether the difference of an input is the error of the run, rather than that of the better values.
+    coarser : ndarray, shape (N, inputs)
+        Inputs there by the solver of the better values with a larger step; the better ones where it has no step.
     """
 
     solution: Solution
     better: Array
     basis: str
-    known: npt.NDArray[np.bool_]
+    coarser: Array
 
     @property
-    def off(self) -> Array:
-        """Distance of the inputs, shape (N, inputs)."""
-        inputs = slice(len(self.known))
-        return np.asarray(np.abs(self.solution.values[:, inputs] - self.better[:, inputs]))
+    def distances(self) -> tuple[Array, Array]:
+        """Distances of the inputs of the run and of the coarser ones from the better ones, each (N, inputs)."""
+        better = self.better[:, : self.coarser.shape[1]]
+        return np.abs(self.solution.values[:, : better.shape[1]] - better), np.abs(self.coarser - better)
+
+    @property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """Whether the distance of an input is the error of the run, rather than that of the better values."""
+        off, doubt = (each.max(axis=0) for each in self.distances)
+        round_off = ROUND_OFF * np.abs(self.better[:, : len(off)]).max(axis=0)
+        # At half the step they err by less than they changed: a larger difference is the error of the run.
+        return np.asarray((off >= doubt) | (np.maximum(off, doubt) <= round_off))
 
     @property
     def estimate(self) -> ErrorEstimate:
         """Largest distance of every input that is known."""
-        peaks = np.abs(self.better[:, : len(self.known)]).max(axis=0)
-        largest = np.maximum(self.off.max(axis=0), np.finfo(float).eps * peaks)
-        rows = zip(self.solution.names, largest.tolist(), self.known, strict=False)
-        errors = {name: error if known else None for name, error, known in rows}
-        return ErrorEstimate(errors, dict(zip(errors, peaks.tolist(), strict=True)), self.basis)
+        bounds = self.bounds
+        rows = zip(bounds.items(), self.known, strict=True)
+        return replace(bounds, absolute={name: error if known else None for (name, error), known in rows})
+
+    @property
+    def bounds(self) -> ErrorEstimate:
+        """Largest distance of every input that is known; of the others, that of the better ones from the coarser."""
+        off, doubt = self.distances
+        peaks = np.abs(self.better[:, : off.shape[1]]).max(axis=0)
+        largest = np.where(self.known, np.maximum(off.max(axis=0), np.finfo(float).eps * peaks), doubt.max(axis=0))
+        names = self.solution.names[: off.shape[1]]
+        absolute, sizes = (dict(zip(names, row.tolist(), strict=True)) for row in (largest, peaks))
+        return ErrorEstimate(absolute, sizes, self.basis)
+
+    @property
+    def doubtful(self) -> dict[str, float]:
+        """Bounds of the inputs that are off by more than `LARGEST_UNWARNED` of their peaks, or may be."""
+        return {k: v for k, v in self.bounds.relative.items() if v is not None and v > LARGEST_UNWARNED}
 
 
 def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
@@ -89,21 +110,28 @@ def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
 
 
 def warn_of_wrong_inputs(solution: Solution, comparison: Comparison, advice: str) -> None:
-    """Warn if a run gives an input that is off by more than `LARGEST_UNWARNED` of its peak."""
-    relative = {k: v for k, v in comparison.estimate.relative.items() if v is not None}
-    name = max(relative, key=lambda each: relative[each], default="")
-    if not name or not relative[name] > LARGEST_UNWARNED:
+    """Warn if a run gives an input that is off by more than `LARGEST_UNWARNED` of its peak, or may well be."""
+    relative = comparison.doubtful
+    if not relative:
         return
-    column = solution.names.index(name)
-    k, unit = int(comparison.off[:, column].argmax()), solution.unit(name)
-    at = int(np.searchsorted(solution.t, comparison.solution.t[k]))
-    turn = _fastest_turn(solution, at, _HALF / relative[name]) if relative[name] > _HALF else ""
+    known = comparison.estimate
+    name = max(relative, key=lambda each: (known[each] is not None, relative[each]))
+    column, unit, turn = solution.names.index(name), solution.unit(name), ""
+    off, doubt = (each[:, column] for each in comparison.distances)
+    k = int((doubt if known[name] is None else off).argmax())
     share = f"{100.0 * relative[name]:.2g} % of" if relative[name] < 1.0 else f"{relative[name]:.3g} times"
+    found, other = f"is off by {share} its peak", ""
+    if known[name] is None:
+        found = f"may be wrong, more accurate values change by {share} its peak with their step"
+        other = f", and {comparison.coarser[k, column]:.4g} {unit} with a larger step"
+    elif relative[name] > _HALF:
+        at = int(np.searchsorted(solution.t, comparison.solution.t[k]))
+        turn = _fastest_turn(solution, at, _HALF / relative[name])
     step = (solution.t[-1] - solution.t[0]) / (len(solution.t) - 1)
     warnings.warn(
-        f"{solution.route}, step {step:.6g} s: {name} is off by {share} its peak; at"
+        f"{solution.route}, step {step:.6g} s: {name} {found}; at"
         f" t = {comparison.solution.t[k]:.6g} s it is {comparison.solution.values[k, column]:.4g} {unit},"
-        f" {comparison.basis} gives {comparison.better[k, column]:.4g} {unit}; {turn}{advice}",
+        f" {comparison.basis} gives {comparison.better[k, column]:.4g} {unit}{other}; {turn}{advice}",
         ServocoreWarning,
         stacklevel=5,
     )
@@ -147,39 +175,48 @@ class BetterSolver:
     exact: bool
     basis: str
 
-    def compared(self, problem: Problem, solution: Solution) -> Comparison:
-        """Compare a solution with better values at its instants.
+    def compared(self, problem: Problem, solution: Solution, every: int = 1) -> Comparison:
+        """Compare a solution with better values at its instants, or some of them.
+
+        Parameters
+        ----------
+        problem, solution : Problem, Solution
+            The problem, and the result.
+        every : int
+            How many instants further on the next one is compared; better steps begin with that many of the solution.
 
         Raises
         ------
         ServocoreError
             If there are none.
         """
+        kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
+        solution = replace(solution, t=solution.t[kept], values=solution.values[kept])
         t, inputs = solution.t, len(problem.system.inputs)
         if self.exact:
             exact = self.run(problem, t)
             better = exact.values
             if not np.array_equal(exact.t, t):
                 better = np.column_stack([np.interp(t, exact.t, column) for column in better.T])
-            return Comparison(solution, better, self.basis, np.ones(inputs, dtype=bool))
-        found, failed = list[Array](), ServocoreError("no step was small enough")
-        for parts in 2 ** np.arange(_MOST_HALVINGS + 1):
+            return Comparison(solution, better, self.basis, better[:, :inputs])
+        found, failed, comparison = list[Array](), ServocoreError("no step was small enough"), None
+        first = [2**k for k in range(_MOST_HALVINGS + 1)]
+        # Larger steps than those of a solution may say nothing of it: where they leave a doubt, more are halved.
+        for parts in (*first, *(k for k in (every, 2 * every) if k > first[-1])):
+            if comparison is not None and parts > first[-1] and not comparison.doubtful:
+                break
             try:
-                found.append(self.run(problem, subdivided(t, int(parts))).values[::parts])
+                found.append(self.run(problem, subdivided(t, parts)).values[::parts])
             except ServocoreError as error:
                 failed = error
                 continue
             if len(found) > 1:
-                *_, last, better = found
-                best = better[:, :inputs]
-                doubt, off = (np.abs(best - each[:, :inputs]).max(axis=0) for each in (last, solution.values))
-                # At half the step they err by less than they changed: a larger difference is the error of the run.
-                known = (off >= doubt) | (np.maximum(off, doubt) <= ROUND_OFF * np.abs(best).max(axis=0))
-                if known.all():
+                comparison = Comparison(solution, found[-1], self.basis, found[-2][:, :inputs])
+                if comparison.known.all():
                     break
-        if len(found) < 2:
+        if comparison is None:
             raise failed
-        return Comparison(solution, better, self.basis, known)
+        return comparison
 
 
 def unknown_errors(problem: Problem, solution: Solution, why: str) -> ErrorEstimate:
@@ -207,9 +244,8 @@ def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | N
     comparison = None
     if better is not None:
         every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
-        kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
         try:
-            comparison = better.compared(problem, replace(solution, t=solution.t[kept], values=solution.values[kept]))
+            comparison = better.compared(problem, solution, every)
         except ServocoreError as error:
             warnings.warn(
                 f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong:"

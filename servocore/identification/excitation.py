@@ -116,9 +116,7 @@ def excitation(
     require_scene(scene, "excitation")
     require_real(duration, "the duration of an excitation", "a number of seconds", InvalidSetting)
     if not 4 * _WINDOW <= duration <= _LONGEST:
-        raise InvalidSetting(
-            f"the duration of an excitation is {duration:g} s: it must be 8 s or more, {_LONGEST:g} s at most"
-        )
+        raise InvalidSetting(f"the excitation takes {duration:g} s: it must be 8 s or more, {_LONGEST:g} s at most")
     extended = within_limits(scene, limits)
     problem = Problem.of(extended)
     if not problem.motion_limits:
@@ -268,9 +266,7 @@ class _Search:
             size = 1.3 * size if found > score else max(0.94 * size, 0.01)
             score, best = (found, x) if found > score else (score, best)
             if k == _STARTS - 1 and not np.isfinite(score):
-                raise PlanningFailed(
-                    f"{self.problem.name}: no path about home keeps the limits: are they kept at rest there?"
-                )
+                raise PlanningFailed(f"{self.problem.name}: no path about home keeps the limits: does rest keep them?")
         return best
 
     def certified(self, x: Array) -> tuple[PiecewisePolynomial, KeptLimits]:

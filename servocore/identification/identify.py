@@ -150,6 +150,8 @@ def spreads_of(names: tuple[str, ...], believed: Mapping[str, float] | float) ->
     for pattern, value in given.items():
         of = "" if pattern == "*" else f" of {pattern}"
         require_positive(value, f"the uncertainty{of}", "a fraction, such as 0.2")
+        if value > 1.0:
+            raise InvalidSetting(f"the uncertainty{of} must be a share, 1 at most, not {value:g}: 0.2 is 20%")
         if not any(fnmatchcase(name, pattern) for name in names):
             raise InvalidSetting(f"the uncertainty of {pattern} is given, but that is not identified")
     own = ([value for pattern, value in given.items() if fnmatchcase(name, pattern)] for name in names)

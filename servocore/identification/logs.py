@@ -90,7 +90,11 @@ def records(logs: Log | Sequence[Log], scene: Scene, positions: Mapping[str, Qua
     if not given:
         raise InvalidSetting("a log is needed: a CSV file, arrays by name, or a list of these")
     found = [_record(each, f"log {k + 1}" if several else "the log", scene, positions) for k, each in enumerate(given)]
-    for record in found:
+    contents = [b"".join(each.tobytes() for each in (record.t, *record.columns.values())) for record in found]
+    for k, record in enumerate(found):
+        if (same := contents.index(contents[k])) < k:
+            both = f"{found[same].name} and {record.name} hold the same samples"
+            raise InvalidReference(f"{both}: leave one out, or they would count twice")
         _require_sampling(record)
         _require_signals(record, scene, positions)
     return found
@@ -181,9 +185,7 @@ def _require_signals(record: Record, scene: Scene, positions: Mapping[str, Quant
             moving |= span > MOVES
             continue
         if span == 0.0:
-            raise InvalidReference(
-                f"{record.name}: the input {label} is {known[0] + 0.0:g} throughout: it was not measured"
-            )
+            raise InvalidReference(f"{record.name}: the input {label} is {known[0] + 0.0:g} throughout: not measured")
         for extreme in (known.max(), known.min()):
             share = float(np.mean(known == extreme))
             if share > _SATURATED:

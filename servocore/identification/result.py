@@ -21,6 +21,7 @@ from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 
+_EXACT = 1e-5  # of the range of an input, less than sensors resolve: residuals of a log without noise
 _UNKNOWN = 0.5  # of its uncertainty before is left of a combination that a log does not show
 _NAMED = 0.3  # entry of a combination from which on a parameter is named
 _PERSISTENT, _CORRELATED = 3.0, 0.35  # spectral density near zero by that of white noise; correlation at lag one
@@ -217,10 +218,8 @@ class Identified:
         Scene
             With the path that it had.
         """
-        declared = {each.name: each for each in self.based_on.model().parameters.declared}
-        values = {
-            name: min(max(value, declared[name].lower), declared[name].upper) for name, value in self.values.items()
-        }
+        known = {each.name: each for each in self.based_on.model().parameters.declared}
+        values = {name: min(max(value, known[name].lower), known[name].upper) for name, value in self.values.items()}
         return self.based_on.with_parameters(**values)
 
     def stray(self, path: Reference) -> Stray:
@@ -290,7 +289,11 @@ class Identified:
                 )
             if why:
                 size = float(np.sqrt(np.nanmean(self.residuals[name] ** 2)))
-                found.append(f"the model does not explain {name}: its residuals of {size:.3g} {why}")
+                what = f"the model does not explain {name}"
+                if size < _EXACT * float(np.ptp(self.measured[name])):
+                    what = f"{name} is logged without noise"
+                    why = "are errors of splines, standard errors too small: give simulated logs the noise of sensors"
+                found.append(f"{what}: its residuals of {size:.3g} {why}")
         spreads = np.hypot(self.fit.spread, list(self.standard_errors.values()))
         for (name, value), center, spread in zip(self.values.items(), self.fit.center, spreads, strict=True):
             if abs(value - center) > _FAR * spread:

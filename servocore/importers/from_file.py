@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 
+import casadi as ca
+
+from servocore.errors import ServocoreWarning
 from servocore.importers.assembly import Assembly
 from servocore.importers.coordinates import UNITS
 from servocore.importers.link_files import read_sdf, read_urdf
@@ -151,6 +155,13 @@ def scene_of(tree: Tree, options: Options, reference: Reference | None = None) -
     assembly = Assembly(tree, options)
     limits = limits_of(assembly) if options.limits else ()
     system = assembly()
+    opposed = ca.gradient(system.potential, system.q), system.force, ca.jacobian(system.constraints, system.q).T
+    acting, row = ca.sparsify(ca.horzcat(system.mass, *opposed)), assembly.coordinates.index
+    if idle := [each.joint for each in assembly.inputs if each.joint and not acting[row(each.joint), :].nnz()]:
+        said = (
+            f"{tree.source}: {', '.join(idle)} moves no mass, its drive does nothing: give masses or an armature to the"
+        )
+        warnings.warn(f"{said} file, or a payload, or hold it by locked", ServocoreWarning, stacklevel=3)
     if reference is None:
         bounds = {limit.quantity: (limit.bound, limit.upper) for limit in limits}
         target = list[float]()

@@ -249,13 +249,13 @@ def expression_of(quantity: Quantity) -> Named | RunQuantity:
     return quantity if isinstance(quantity, RunQuantity) else Named(quantity.name)
 
 
-def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
-    """Return the limit of a reported quantity, or of its rate.
+def quantity_named(system: MechanicalSystem, name: str) -> tuple[Quantity, bool]:
+    """Return the reported quantity that a limit names, and whether its rate is meant.
 
     Raises
     ------
     InvalidSetting
-        If no quantity has that name, or the bounds are invalid.
+        If no quantity has that name.
     """
     known = dict(reported_quantities(system))
     known |= {each.name: each for each in run_quantities(known.values())}
@@ -265,7 +265,18 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
             f"{system.name} reports nothing called {name} that could have a limit; there are {', '.join(known)}, and"
             f" the rate of each with {RATE} behind its name"
         )
-    quantity, rate = known[of], of != name
+    return known[of], of != name
+
+
+def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
+    """Return the limit of a reported quantity, or of its rate.
+
+    Raises
+    ------
+    InvalidSetting
+        If no quantity has that name, or the bounds are invalid.
+    """
+    quantity, rate = quantity_named(system, name)
     unit = quantity.unit if not rate else f"{quantity.unit}/s"
     what = f"the limit of {name}"
     given = bounds if isinstance(bounds, tuple | list) else [bounds]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, described, require_kind
 from servocore.model.drawing import Drawing
 from servocore.model.effects import NO_EFFECTS, Effects
-from servocore.model.limits import RATE, Bounds, Limit, limit_named
+from servocore.model.limits import RATE, Bounds, Limit, limit_named, quantity_named
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
@@ -248,6 +248,8 @@ class Scene:
         >>> sc.analyse(crane).index
         7
         """
+        if not self.effects.declared:
+            raise InvalidModel(f"{self.name} declares no effects that could be added or left out")
         effects = self.effects.with_(names, (without,) if isinstance(without, str) else without)
         return self._with_models(models={"with effects": effects}, effects=effects)
 
@@ -283,10 +285,11 @@ class Scene:
         >>> sc.solve(crane).unit("M_b.motor_torque")
         'N.m'
         """
-        from servocore.model.drives import Drive  # noqa: PLC0415 - few scenes have them
+        from servocore.model.drives import Drive, place_of_input  # noqa: PLC0415 - few scenes have them
 
         for name, drive in drives.items():
             require_kind(drive, (Drive, type(None)), f"the drive of {name}", "a Drive", InvalidModel)
+            place_of_input(self.model(), name)
         merged = {name: drive for name, drive in {**self.drives, **drives}.items() if drive is not None}
         return self._with_models(drives=merged)
 
@@ -327,7 +330,10 @@ class Scene:
         >>> sc.solve(crane, step=0.1).margins["F"].slack > 0
         True
         """
-        model = self.model()
+        model, own = self.model(), {each.reported + RATE * each.rate for each in self.limits}
+        for name in bounds:
+            if name not in own:  # one that is removed may be of a model that the scene has no more
+                quantity_named(model, name)
         new_limits = tuple(limit_named(model, name, bound) for name, bound in bounds.items() if bound is not None)
         kept = (e for e in self.limits if not e.reported or e.reported + RATE * e.rate not in bounds)
         return replace(self, limits=(*kept, *new_limits))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed, require_callable
-from servocore.model.limits import Bounds
+from servocore.model.limits import RATE, Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
 from servocore.planning.integrator_chains import Law
 from servocore.planning.report import PlanReport, in_words, kept_limits
@@ -134,9 +134,12 @@ def fastest(
     planned_corners = [replace(corner, reference=reference) for corner in corners]
     kept = kept_limits(bounded.with_reference(reference), model, planned_corners, robust or {}, certify)
     if kept.violation > EXCESS:
+        # Rates of a length or an angle jump where it is zero. Programs see them rounded off there, on any grid.
+        of = kept.worst.removesuffix(RATE)
+        cure = f"limit {of} itself, or its rate less tightly" if of != kept.worst else "take more intervals or widen it"
         raise PlanningFailed(
             f"{scene.name}: the law that was found breaks the limit of {kept.worst} by"
-            f" {kept.violation:.2g} of half its range between the points of the solver's grid"
+            f" {kept.violation:.2g} of half its range between the points of the solver's grid; {cure}"
         )
     polynomial, ramped = _compared(task, scale) if free is None else _on_the_line(curve, quick, length)
     return reference, PlanReport(
@@ -269,7 +272,10 @@ def planned(
             if outcome.status == SOLVED:
                 return outcome, coarse.law.duration if doubled else np.nan, name
             failures += [f"{in_words(outcome.status)}, from the {name}"] if doubled else []
-    raise PlanningFailed(f"no law was found, which does not say that there is none: {'; '.join(failures)}")
+    raise PlanningFailed(
+        f"no law was found, which does not say that there is none: {'; '.join(failures)}; wider limits or other"
+        " intervals may help"
+    )
 
 
 def _refined(whole: Transcription, found: Outcome, progress: Callable[[str], None]) -> Outcome:

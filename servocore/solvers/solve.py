@@ -96,7 +96,7 @@ def solve(
     Warns
     -----
     ServocoreWarning
-        If the run cannot succeed as it is set up, or an input turns out to be off by more than 5 % of its peak.
+        If the run cannot succeed as it is set up, or an input is off by more than 5 % of its peak, or may be.
     """
     _require_arguments(scene, formulation, method, step, output_step, progress)
     problem, advice, form = Problem.of(scene, model, start), "", formulation or Reduced()

@@ -36,6 +36,7 @@ from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium
 Places = npt.NDArray[np.int64]
 
 _MOST_HALVINGS = 8
+_MOST_STEPS = 100_000  # of the horizon
 _MOST_ITERATIONS = 30
 
 
@@ -165,7 +166,7 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
     if problem.system.time.numel() and not periodic:
         raise InvalidModel(
             f"a stable inversion begins and ends at rest, but the equations of {name} depend on time; Reduced() with a"
-            " method computes the motion that starts at rest"
+            " a method computes the motion that starts at rest"
         )
     slow = ROUND_OFF * (float(np.abs(ends[:, 0]).max()) + 1.0) / reference.duration
     for time, jet in zip((reference.start_time, reference.end_time), ends, strict=True):
@@ -197,6 +198,12 @@ def _horizon(bounded: _Bounded, route: StableInversion, step: float) -> Array:
     growing, decaying = before_it[before_it > 0.0], -after_it[after_it < 0.0]
     before, after = (np.ceil(needed / rates.min() / step) if rates.size else 0.0 for rates in (growing, decaying))
     inside = round(reference.duration / step)
+    if before + inside + after > _MOST_STEPS:
+        rate, name = np.abs([*growing, *decaying]).min(), bounded.problem.system.name
+        raise IntegrationFailed(
+            f"{name}: a mode of {rate:.2g}/s takes {before + after:.2g} steps beside the path to decay; Reduced() with"
+            " a method computes the motion that starts at rest"
+        )
     grid: Array = reference.start_time + step * np.arange(-before, inside + after + 1.0)
     return grid
 
