@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from problems import as_scene, changed, scene
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -20,19 +21,12 @@ GROWING = {"real": [[4.0]], "complex": [[1.5, 4.0], [-4.0, 1.5]]}
 
 def rate(matrix: Array, push: Array) -> Callable[[Any, Array], Array]:
     """Return x' = matrix x + push gamma'(t), for one time or many."""
-
-    def of(t: float, x: Array) -> Array:
-        speed = PATH.jet(t, 1)[..., 1, 0]
-        return matrix @ x + np.multiply.outer(push, speed)
-
-    return of
+    return lambda t, x: matrix @ x + np.multiply.outer(push, PATH.jet(t, 1)[..., 1, 0])
 
 
 @pytest.mark.parametrize("decaying", DECAYING.values(), ids=DECAYING)
 @pytest.mark.parametrize("growing", GROWING.values(), ids=GROWING)
-def test_both_sides_at_once_are_the_decaying_part_forward_and_the_growing_part_backward(
-    decaying: list[list[float]], growing: list[list[float]]
-) -> None:
+def test_both_sides_at_once_are_each_part_by_itself(decaying: list[list[float]], growing: list[list[float]]) -> None:
     first, second = np.array(decaying), np.array(growing)
     n, m = len(first), len(second)
     whole = np.zeros((n + m, n + m))
@@ -42,6 +36,13 @@ def test_both_sides_at_once_are_the_decaying_part_forward_and_the_growing_part_b
     mixed = np.linalg.qr(np.random.default_rng(3).normal(size=whole.shape))[0]
     found = two_sided(rate(mixed @ whole @ mixed.T, mixed @ push), T, 0.0, 2.0, mixed @ whole @ mixed.T)
     np.testing.assert_allclose(mixed.T @ found, expected, atol=1e-8 * np.abs(expected).max())
+
+
+def test_a_bounded_motion_is_found_where_residuals_grow_on_the_way() -> None:
+    car = scene("mass_on_car").model()
+    bent = changed(car, potential=50 * car.coordinates["s"] ** 4 - 5 * car.coordinates["s"] ** 2)
+    found = sc.solve(as_scene(bent, sc.rest_to_rest((0.0,), (0.5,), 0.7)), None, sc.StableInversion(1e-3), step=0.07)
+    assert found.error.relative["u"] == pytest.approx(0.0, abs=1e-8)
 
 
 def test_modes_that_all_decay_are_refused_with_their_eigenvalues() -> None:
