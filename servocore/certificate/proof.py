@@ -215,13 +215,20 @@ class Proof:
             self.joints, wide = self._joints(), self._too_wide()
 
     def _halve(self, halved: Mask) -> None:
-        """Replace intervals by their halves, of which nothing is known."""
-        parts, middle = np.repeat(np.arange(len(halved)), 1 + halved), (self.begin + self.end) / 2.0
+        """Replace intervals by their halves, of which nothing is known.
+
+        Of intervals outside the path the halves beside it are enough.
+        """
+        path, middle = self.problem.reference, (self.begin + self.end) / 2.0
+        parts = np.repeat(np.arange(len(halved)), 1 + halved)
         late = np.diff(parts, prepend=-1) == 0
-        for name in "begin", "end", "depth", "failed", "tested", "switches", "relative", "before", "x", "D", "given":
+        begin = np.where(late, middle[parts], self.begin[parts])
+        end = np.where(halved[parts] & ~late, middle[parts], self.end[parts])
+        beside = (path.start_time <= end) & (begin <= path.end_time)
+        parts = parts[beside]
+        for name in "depth", "failed", "tested", "switches", "relative", "before", "x", "D", "given":
             setattr(self, name, getattr(self, name)[..., parts])
-        new, middle = halved[parts], middle[parts]
-        self.begin, self.end = np.where(late, middle, self.begin), np.where(new & ~late, middle, self.end)
+        self.begin, self.end, new = begin[beside], end[beside], halved[parts]
         self.depth, self.before[:, new] = self.depth + new, [self.before[1, new], self.relative[new]]
         self.tested[new], self.relative[new], self.x[..., new] = False, np.inf, np.nan
 
