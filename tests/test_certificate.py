@@ -46,15 +46,6 @@ def require_truth_inside(scene: sc.Scene, certificate: Certificate, seed: int = 
     return max(bound.relative for bound in certificate.error_bounds.values())
 
 
-@pytest.mark.parametrize(("name", "model"), thinned(FLAT, lambda case: case[1] != "bodies"))
-def test_flat_scenes_are_proved_on_their_paths_with_the_closed_form_inside(name: str, model: str) -> None:
-    scene = sc.scenes.REGISTRY[name]()
-    certificate = sc.certify(scene, model=model)
-    assert certificate.verdict == "proved", certificate
-    if scene.closed_form is not None and certificate.error_bounds:
-        assert require_truth_inside(scene, certificate) < 1e-9
-
-
 def varied(scene: sc.Scene, rng: np.random.Generator) -> sc.Scene:
     path = scene.reference
     assert isinstance(path, RestToRest)
@@ -67,16 +58,17 @@ def varied(scene: sc.Scene, rng: np.random.Generator) -> sc.Scene:
 
 @pytest.mark.parametrize(
     ("name", "model", "count", "most"),
-    thinned([("overhead_crane", "points", 5, 1e-9), *((*each, 50, 1e-7) for each in FLAT)], lambda case: case[2] == 5),
-)
-def test_random_paths_and_parameters_are_proved_and_few_stay_undecided(
+    thinned(
+        [*((*each, 1, 1e-9) for each in FLAT), ("overhead_crane", "points", 6, 1e-9),
+         *((*each, 51, 1e-7) for each in FLAT if hasattr(sc.scenes.REGISTRY[each[0]]().reference, "profile"))],
+        lambda case: case[2] < 50 and case[1] != "bodies"),
+)  # fmt: skip
+def test_flat_scenes_are_proved_on_their_and_on_random_paths_with_the_closed_form_inside(
     name: str, model: str, count: int, most: float
 ) -> None:
     scene, rng, verdicts, bounds = sc.scenes.REGISTRY[name](), np.random.default_rng(1), list[str](), [0.0]
-    if not hasattr(scene.reference, "profile"):
-        pytest.skip("its path is no line from rest to rest")
     for seed in range(count):
-        subject = varied(scene, rng)
+        subject = varied(scene, rng) if seed else scene
         certificate = sc.certify(subject, model=model)
         verdicts.append(certificate.verdict)
         if certificate.error_bounds and subject.closed_form is not None:
@@ -158,6 +150,13 @@ def test_inputs_that_jump_are_listed_and_the_motion_is_proved() -> None:
     for scene, start, end in ((OVERHEAD, (0.0, -4.0), (5.0, -1.0)), (sc.scenes.cars(), (0.0,), (1.0,))):
         certificate = sc.certify(line(scene, start, end, 3.0, profile=DEGREE7))
         assert (certificate.verdict, certificate.jumps) == ("proved", (0.0, 3.0))
+
+
+def test_nothing_is_asked_of_a_motion_beyond_the_ends_of_its_path() -> None:
+    """The rope would go slack within a hundredth of the duration."""
+    t = np.linspace(0.0, 1.0, 60)
+    path = sc.sampled(t, np.column_stack([t, -1.0 - 0.98 * 9.81 * t**6 / 30.0]))
+    assert sc.certify(OVERHEAD.with_reference(path)).verdict == "proved"
 
 
 def rubbing() -> sc.Scene:
