@@ -59,7 +59,7 @@ OPERATIONS: dict[str, tuple[bool, Callable[..., ca.SX], Exact]] = {
     "asin": (True, lambda a: ca.asin(a / (1 + a)), lambda a: (a / (1 + a)).asin()),
     "acos": (True, lambda a: ca.acos(a / (1 + a)), lambda a: (a / (1 + a)).acos()),
     "atan": (True, ca.atan, arb.atan),
-    "hyperbolic": (False, lambda a: ca.cosh(a) + ca.sinh(a) * ca.expm1(a), lambda a: a.cosh() + a.sinh() * a.expm1()),
+    "cosh": (False, lambda a: a + ca.cosh(a) + ca.sinh(a) * ca.expm1(a), lambda a: a + a.cosh() + a.sinh() * a.expm1()),
     "acosh": (True, lambda a: ca.acosh(2 + a**2) + ca.asinh(a), lambda a: (2 + a**2).acosh() + a.asinh()),
     "atanh": (True, lambda a: ca.atanh(a / (1 + 2 * a)) + ca.log1p(a), lambda a: (a / (1 + 2 * a)).atanh() + a.log1p()),
     "tan": (True, lambda a: ca.tan(a / (1 + a)), lambda a: (a / (1 + a)).tan()),
