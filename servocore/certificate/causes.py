@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from servocore.certificate.chebyshev import arithmetic, model_of
-from servocore.certificate.equations import block_signs, given_models, radii
-from servocore.certificate.proof import REACH, Proof, answers_near
+from servocore.certificate.equations import block_signs, equations_of, given_models, radii
+from servocore.certificate.proof import REACH, Proof, answers_near, smallest_peaks
 from servocore.certificate.statements import DEFINITE, Statement, claims_of, known, walk_of_limits
 from servocore.solution import Solution
 
@@ -76,19 +76,19 @@ def _singular(proof: Proof, solution: Solution | None) -> Statement | None:
     solution are where that is the only one. Along a continuous motion the determinant of a block changes its sign only
     where the block is singular. Nothing follows where equations switch, or across joints of a path that is too rough.
     """
-    problem, equations, ring = proof.problem, proof.equations, arithmetic((0,))
-    path, array = problem.reference, equations.array
+    problem, ring = proof.problem, arithmetic((0,))
+    path, array = problem.reference, problem.array
     if solution is None or proof.boxed or not problem.flat:
         return None
-    within = (path.start_time <= solution.t) & (solution.t <= path.end_time)
-    t, x = solution.t[within], answers_near(problem, solution, solution.t[within])[array.places(array.determined)]
-    given, D = given_models(problem, array, ring, np.stack([t, t]), {}), np.tile(REACH * proof.peaks, len(t))
-    rho, *_ = radii(equations, ring, x[None], given, D, proof.peaks)
+    t, x, equations = solution.t, answers_near(problem, solution, solution.t), equations_of(problem.resolved, False)
+    peaks = np.fmax(np.fmax.reduce(np.abs(x), axis=1), smallest_peaks(problem, array.unknowns))[:, None]
+    given, D = given_models(problem, array, ring, np.stack([t, t]), {}), np.tile(REACH * peaks, len(t))
+    rho, *_ = radii(equations, ring, x[None], given, D, peaks)
     near = (rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0)
-    for k, (j, order) in enumerate(array.determined):
+    for k, (j, order) in enumerate(array.unknowns):
         name = array.names[j].partition(".")[2]
         if order == 0 and name in solution:
-            near &= np.abs(solution[name][within] - x[k]) <= D[k]
+            near &= np.abs(solution[name] - x[k]) <= D[k]
     t, balls = t[near], np.concatenate([model_of(x[None], rho), given], axis=1)[..., near]
     if not len(t) or equations.steps(ring, balls).shape[1]:
         return None
