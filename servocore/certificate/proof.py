@@ -104,8 +104,8 @@ class Proof:
         How often an interval was halved.
     tested, switches : ndarray of bool, shape (N,)
         Whether an interval was tested, or has no answers to be tested; equations may jump within.
-    before : ndarray, shape (N,)
-        `relative` of the interval that it is a half of.
+    before : ndarray, shape (2, N)
+        `relative` of the intervals that it is a quarter of, and a half.
     x, given : Model, shape (terms + 1, unknowns, N) and (terms + 1, givens, N)
         Polynomials of the unknowns, NaN where there are no answers, with radii; path, parameters and time.
     D : ndarray, shape (unknowns, N)
@@ -142,7 +142,7 @@ class Proof:
         n, unknowns = len(grid) - 1, len(equations.block)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
         self.tested, self.switches = np.zeros((2, n), dtype=bool)
-        self.relative, self.before = np.full((2, n), np.inf)
+        self.relative, self.before = np.full(n, np.inf), np.full((2, n), np.inf)
         self.x, self.D = np.full((len(self.ring.nodes) + 1, unknowns, n), np.nan), np.zeros((unknowns, n))
         self.given = np.zeros((len(self.x), equations.symbols.numel() - unknowns, n))
 
@@ -229,7 +229,7 @@ class Proof:
         for name in "depth", "failed", "tested", "switches", "relative", "before", "x", "D", "given":
             setattr(self, name, getattr(self, name)[..., parts])
         self.begin, self.end, new = begin[beside], end[beside], halved[parts]
-        self.depth, self.before[new] = self.depth + new, self.relative[new]
+        self.depth, self.before[:, new] = self.depth + new, [self.before[1, new], self.relative[new]]
         self.tested[new], self.relative[new], self.x[..., new] = False, np.inf, np.nan
 
     def _coarse(self) -> Mask:
@@ -243,9 +243,11 @@ class Proof:
     def _too_wide(self) -> Mask:
         """Return whether intervals are proved, not well enough, and halves may help.
 
-        They do not where the radius, of rounding errors, is more than half of that before.
+        They do not where the radius, of rounding errors, is hardly less than that of what an interval is a quarter of,
+        and a half where it is nearly small enough.
         """
-        wide = (self._narrow < self.relative) & (self.relative <= self.before / 2.0)
+        before = np.where(self.relative < 2.0 * self._narrow, self.before[1], self.before[0])
+        wide = (self._narrow < self.relative) & (self.relative <= before / 2.0)
         return np.asarray(np.where(self.jumping, self.within, wide) & self.proved & (self.depth < _DEEPEST))
 
     # Answers and test -----------------------------------------------------------------------------------------------
