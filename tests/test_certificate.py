@@ -46,15 +46,6 @@ def require_truth_inside(scene: sc.Scene, certificate: Certificate, seed: int = 
     return max(bound.relative for bound in certificate.error_bounds.values())
 
 
-@pytest.mark.parametrize(("name", "model"), thinned(FLAT, lambda case: case[1] != "bodies"))
-def test_flat_scenes_are_proved_on_their_paths_with_the_closed_form_inside(name: str, model: str) -> None:
-    scene = sc.scenes.REGISTRY[name]()
-    certificate = sc.certify(scene, model=model)
-    assert certificate.verdict == "proved", certificate
-    if scene.closed_form is not None and certificate.error_bounds:
-        assert require_truth_inside(scene, certificate) < 1e-9
-
-
 def varied(scene: sc.Scene, rng: np.random.Generator) -> sc.Scene:
     path = scene.reference
     assert isinstance(path, RestToRest)
@@ -65,30 +56,27 @@ def varied(scene: sc.Scene, rng: np.random.Generator) -> sc.Scene:
     return scene.with_reference(way).with_parameters(**values)
 
 
-def test_random_paths_and_parameters_of_a_crane_are_proved() -> None:
-    rng = np.random.default_rng(0)
-    for seed in range(5):
-        scene = varied(sc.scenes.overhead_crane(), rng)
-        certificate = sc.certify(scene)
-        assert certificate.verdict == "proved", certificate
-        assert require_truth_inside(scene, certificate, seed) < 1e-9
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(("name", "model"), FLAT)
-def test_few_random_paths_and_parameters_stay_undecided(name: str, model: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "model", "count", "most"),
+    thinned(
+        [*((*each, 1, 1e-9) for each in FLAT), ("overhead_crane", "points", 6, 1e-9),
+         *((*each, 51, 1e-7) for each in FLAT if hasattr(sc.scenes.REGISTRY[each[0]]().reference, "profile"))],
+        lambda case: case[2] < 50 and case[1] != "bodies"),
+)  # fmt: skip
+def test_flat_scenes_are_proved_on_their_and_on_random_paths_with_the_closed_form_inside(
+    name: str, model: str, count: int, most: float
+) -> None:
     scene, rng, verdicts, bounds = sc.scenes.REGISTRY[name](), np.random.default_rng(1), list[str](), [0.0]
-    if not hasattr(scene.reference, "profile"):
-        pytest.skip("its path is no line from rest to rest")
-    for seed in range(50):
-        subject = varied(scene, rng)
+    for seed in range(count):
+        subject = varied(scene, rng) if seed else scene
         certificate = sc.certify(subject, model=model)
         verdicts.append(certificate.verdict)
         if certificate.error_bounds and subject.closed_form is not None:
             bounds.append(require_truth_inside(subject, certificate, seed))
     assert np.median(bounds) <= 1e-9
-    assert max(bounds) <= 1e-7
-    assert verdicts.count("undecided") <= 0.03 * len(verdicts), verdicts
+    assert max(bounds) <= most
+    assert verdicts.count("undecided") <= 0.03 * count, verdicts
+    assert verdicts.count("refuted") <= 0.1 * count, verdicts
 
 
 # Bad cases ------------------------------------------------------------------------------------------------------------
@@ -103,10 +91,7 @@ def line(
     return scene.with_reference(sc.rest_to_rest(start, end, duration, **more))  # type: ignore[arg-type]  # of rest_to_rest
 
 
-def spiked() -> sc.Scene:
-    path = QUADROTOR.reference
-    assert isinstance(path, RestToRest)
-    return line(QUADROTOR, tuple(path.start), (5.91, 2.15), 1.71, profile=path.profile)
+SPIKED = line(QUADROTOR, tuple(QUADROTOR.reference.jet(0.0, 0)[0]), (5.91, 2.15), 1.71, profile=sc.DEGREE13)
 
 
 BAD: dict[str, tuple[Callable[[], sc.Scene], str]] = {
@@ -153,10 +138,9 @@ def test_a_proof_finds_the_branch_that_a_run_of_many_instants_misses() -> None:
 @pytest.mark.parametrize("model", thinned(QUADROTOR.models, lambda model: model == "points"))
 def test_a_spike_between_instants_is_refuted_with_its_value(model: str) -> None:
     """Finding: the thrust turns fast between two of 201 instants, which show a quarter of the moment."""
-    exact = np.abs(spiked().exact(np.linspace(0.0, 1.71, 20_001))["M"]).max()
-    statement = next(
-        each for each in sc.certify(spiked(), model=model, tolerance=1e-4).statements if each.verdict == "refuted"
-    )
+    exact = np.abs(SPIKED.exact(np.linspace(0.0, 1.71, 20_001))["M"]).max()
+    statements = sc.certify(SPIKED, model=model, tolerance=1e-4).statements
+    statement = next(each for each in statements if each.verdict == "refuted")
     assert statement.what.startswith("M between instants")
     assert statement.time == pytest.approx(0.288, abs=1e-3)
     assert float(statement.sentence.split()[2]) == pytest.approx(exact, rel=1e-2)
@@ -166,6 +150,13 @@ def test_inputs_that_jump_are_listed_and_the_motion_is_proved() -> None:
     for scene, start, end in ((OVERHEAD, (0.0, -4.0), (5.0, -1.0)), (sc.scenes.cars(), (0.0,), (1.0,))):
         certificate = sc.certify(line(scene, start, end, 3.0, profile=DEGREE7))
         assert (certificate.verdict, certificate.jumps) == ("proved", (0.0, 3.0))
+
+
+def test_nothing_is_asked_of_a_motion_beyond_the_ends_of_its_path() -> None:
+    """The rope would go slack within a hundredth of the duration."""
+    t = np.linspace(0.0, 1.0, 60)
+    path = sc.sampled(t, np.column_stack([t, -1.0 - 0.98 * 9.81 * t**6 / 30.0]))
+    assert sc.certify(OVERHEAD.with_reference(path)).verdict == "proved"
 
 
 def rubbing() -> sc.Scene:
@@ -205,12 +196,9 @@ def test_disturbed_answers_are_never_proved_without_the_truth_inside(monkeypatch
         monkeypatch.setattr(proof, "_MOST", 60)
         tried = Proof(problem, {}, 1e-8)
         monkeypatch.undo()
-        for k in np.flatnonzero(tried.proved & tried.within):
-            right = int(np.searchsorted(exact.end, tried.begin[k], side="right"))
-            length = exact.end[right] - exact.begin[right]
-            x = exact.ring.rows(np.array([[2.0 * (tried.begin[k] - exact.begin[right]) / length - 1.0]]))
-            apart = np.abs(x[0] @ exact.x[:-1, :, right] - exact.ring.rows(np.array([[-1.0]]))[0] @ tried.x[:-1, :, k])
-            assert (apart <= tried.x[-1, :, k] + exact.x[-1, :, right] + 1e-12 * exact.peaks[:, 0]).all(), size
+        right, own = exact.at(exact.x, tried.begin), tried.proved & tried.within
+        off = np.abs(tried.ring.ends(tried.x)[0][0] - right[0])
+        assert (off <= tried.x[-1] + right[1])[:, own].all(), size
 
 
 # Solutions, parameters ------------------------------------------------------------------------------------------------
@@ -231,6 +219,9 @@ def test_a_solve_refuses_what_its_certificate_refutes_and_warns_of_what_it_leave
     assert sc.solve(OVERHEAD.with_limits(F=511.0), certify=True).t[-1] == 3.0
     with pytest.raises(sc.InvalidReference, match=r"certificate is refuted: inputs within 0\.05 of their peaks"):
         sc.solve(OVERHEAD, sc.Projected(), sc.BackwardEuler(), step=0.05, certify=True)
+    singular = r"one motion.* is singular between t = 2\.58 s and 2\.6 s"
+    with pytest.warns(match="lose rank"), pytest.raises(sc.InvalidReference, match=singular):
+        sc.solve(meeting.scene(guess="crossed after"), certify=True)
     with pytest.warns(sc.ServocoreWarning, match=r"certificate is undecided: one motion .*inputs within"):
         sc.solve(sc.scenes.mass_on_car().with_parameters(stiffness=-5.0), certify=True)
 

@@ -9,11 +9,12 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-from flint import arb, ctx
+from flint import arb, arb_mat, ctx
+from present import present
 
 from servocore.certificate import chebyshev
 from servocore.certificate.chebyshev import Arithmetic, Model, arithmetic, model_of
-from servocore.certificate.equations import _without_steps
+from servocore.certificate.equations import _without_steps, block_signs
 from servocore.certificate.walk import Walk
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.machine_code import built
@@ -22,14 +23,8 @@ DEGREES = [(10,), (6, 2), (0,), (3, 2, 1)]
 Exact = Callable[..., arb]
 
 
-@pytest.fixture(autouse=True)
-def _precision() -> object:
-    kept, ctx.prec = ctx.prec, 200
-    yield
-    ctx.prec = kept
-
-
 def exact_value(ring: Arithmetic, c: Array, point: Array) -> arb:
+    ctx.prec = 200
     each = [[arb(x).chebyshev_t(k) for k in range(d + 1)] for x, d in zip(point.tolist(), ring.degrees, strict=True)]
     basis = reduce(lambda a, b: [x * y for x in a for y in b], each)
     return sum((arb(k) * t for k, t in zip(c.tolist(), basis, strict=True)), arb(0))
@@ -64,7 +59,9 @@ OPERATIONS: dict[str, tuple[bool, Callable[..., ca.SX], Exact]] = {
     "asin": (True, lambda a: ca.asin(a / (1 + a)), lambda a: (a / (1 + a)).asin()),
     "acos": (True, lambda a: ca.acos(a / (1 + a)), lambda a: (a / (1 + a)).acos()),
     "atan": (True, ca.atan, arb.atan),
-    "cosh": (False, ca.cosh, arb.cosh),
+    "cosh": (False, lambda a: a + ca.cosh(a) + ca.sinh(a) * ca.expm1(a), lambda a: a + a.cosh() + a.sinh() * a.expm1()),
+    "acosh": (True, lambda a: ca.acosh(2 + a**2) + ca.asinh(a), lambda a: (2 + a**2).acosh() + a.asinh()),
+    "atanh": (True, lambda a: ca.atanh(a / (1 + 2 * a)) + ca.log1p(a), lambda a: (a / (1 + 2 * a)).atanh() + a.log1p()),
     "tan": (True, lambda a: ca.tan(a / (1 + a)), lambda a: (a / (1 + a)).tan()),
     "power": (True, lambda a: a**3.5, lambda a: a ** arb(3.5)),
     "whole power": (True, lambda a: a**-3, lambda a: a**-3),
@@ -130,15 +127,28 @@ def test_machine_code_and_numpy_carry_out_alike(degrees: tuple[int, ...], monkey
     rng, terms, places = np.random.default_rng(4), len(arithmetic(degrees).nodes), 9
     steps = np.array([[int(rng.integers(3)), 4 + k, *rng.integers(0, 4 + k, 2)] for k in range(places - 4)])
     models = np.abs(rng.normal(size=(places, terms + 1, 37)))
-    code = chebyshev.machine_code()
-    build = code._make()
-    assert build is not None
-    native, plain = models.copy(), models.copy()
-    for run, results in ((code._load(built(build)), native), (None, plain)):
+    code, native, plain = chebyshev.machine_code(), models.copy(), models.copy()
+    for run, results in ((code._load(built(present(code._make()))), native), (None, plain)):
         monkeypatch.setattr(chebyshev, "machine_code", lambda run=run: SimpleNamespace(best=lambda _: run))
         chebyshev.carry_out(steps, arithmetic(degrees), results)
     assert not (plain[4:] == models[4:]).any()
     np.testing.assert_allclose(native, plain, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 9])
+def test_signs_of_determinants_of_all_matrices_of_a_ball_are_right_or_not_known(n: int) -> None:
+    rng, every = np.random.default_rng(n), np.arange(n * n)
+    equations = SimpleNamespace(
+        blocks=[SimpleNamespace(rows=range(n))], sizes=np.array([n * n]), inside=every, own=every
+    )
+    C, size = rng.normal(size=(n, n, 200)), 10.0 ** rng.uniform(-18.0, 0.0, 200)
+    C[0] = C[1:].sum(axis=0) + size * C[0]  # nearly singular
+    R = rng.choice([0.0, 0.1, 10.0], 200) * size * rng.uniform(size=C.shape)
+    ctx.prec = 400
+    signs = block_signs(equations, np.stack([C, R]).reshape(2, n * n, 200))[0]  # type: ignore[arg-type]
+    for sign, matrix in zip(signs, (C + R * rng.choice([-1.0, 1.0], C.shape)).transpose(2, 0, 1), strict=True):
+        assert not arb_mat(matrix.tolist()).det() * arb(sign) < 0
+    assert 0.1 < np.abs(signs).mean() < 1.0
 
 
 X = ca.SX.sym("x")

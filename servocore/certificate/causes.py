@@ -6,9 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from servocore.certificate.chebyshev import model_of
-from servocore.certificate.proof import Proof
+from servocore.certificate.chebyshev import arithmetic, model_of
+from servocore.certificate.equations import block_signs, equations_of, given_models, radii
+from servocore.certificate.proof import REACH, Proof, answers_near, smallest_peaks
 from servocore.certificate.statements import DEFINITE, Statement, claims_of, known, walk_of_limits
+from servocore.solution import Solution
 
 _MOTION, _BRANCH, _SMOOTH = (
     "one motion, regular at all times", "one branch from the beginning to the end", "path smooth enough for the motion"
@@ -18,9 +20,9 @@ _NEAR, _SHORT = 0.05, 1e-2  # of the duration
 _TIMES, _NONE = 10.0, 1e-6  # times the change that rates explain; of a peak: less is no jump
 
 
-def motion_statements(proof: Proof) -> list[Statement]:
+def motion_statements(proof: Proof, solution: Solution | None) -> list[Statement]:
     """State that there is one motion on one branch, regular at all times, and as smooth as motions are."""
-    failing = [] if proof.proved.all() else [_impulse(proof) or _undecided(proof)]
+    failing = [] if proof.proved.all() else [_impulse(proof) or _singular(proof, solution) or _undecided(proof)]
     for time, joint in zip(proof.end.tolist(), proof.joints, strict=False):
         if joint in {"apart", "not proved"}:
             text = f"not decided at t = {time:.6g} s that the motion goes on as it was before"
@@ -67,6 +69,39 @@ def _impulse(proof: Proof) -> Statement | None:
     return None
 
 
+def _singular(proof: Proof, solution: Solution | None) -> Statement | None:
+    """State between which instants of a solution no regular motion goes on: it passes a singular configuration.
+
+    At each instant the one regular motion near the solution is proved: its ball and the coordinates and inputs of the
+    solution are where that is the only one. Along a continuous motion the determinant of a block changes its sign only
+    where the block is singular. Nothing follows where equations switch, or across joints of a path that is too rough.
+    """
+    problem, ring = proof.problem, arithmetic((0,))
+    path, array = problem.reference, problem.array
+    if solution is None or proof.boxed or not problem.flat:
+        return None
+    t, x, equations = solution.t, answers_near(problem, solution, solution.t), equations_of(problem.resolved, False)
+    peaks = np.fmax(np.fmax.reduce(np.abs(x), axis=1), smallest_peaks(problem, array.unknowns))[:, None]
+    given, D = given_models(problem, array, ring, np.stack([t, t]), {}), np.tile(REACH * peaks, len(t))
+    rho, *_ = radii(equations, ring, x[None], given, D, peaks)
+    near = (rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0)
+    for k, (j, order) in enumerate(array.unknowns):
+        name = array.names[j].partition(".")[2]
+        if order == 0 and name in solution:
+            near &= np.abs(solution[name] - x[k]) <= D[k]
+    t, balls = t[near], np.concatenate([model_of(x[None], rho), given], axis=1)[..., near]
+    if not len(t) or equations.steps(ring, balls).shape[1]:
+        return None
+    pieces = np.searchsorted(path.joints, t, side="right") * (path.smoothness < array.reference_order)
+    for block, signs in enumerate(block_signs(equations, equations.jacobian(ring, balls))):
+        for a, b in pairwise(np.flatnonzero(signs).tolist()):
+            if signs[a] != signs[b] and pieces[a] == pieces[b]:
+                text = f"the solution is singular between t = {t[a]:.6g} s and {t[b]:.6g} s, where a determinant"
+                text += f" changes its sign, in the equations of {equations.around(block)}"
+                return Statement(_MOTION, "refuted", text, float(t[a]))
+    return None
+
+
 def _undecided(proof: Proof) -> Statement:
     """State on which interval the motion is not proved, in which equations, and why.
 
@@ -77,7 +112,7 @@ def _undecided(proof: Proof) -> Statement:
     if first == 0 and not solved.all() and not (solved[0] and proof.switches[0]):
         first = int(solved.argmin())
     text = f"not proved from t = {proof.begin[first]:.6g} s to {proof.end[first]:.6g} s"
-    array, slack = proof.equations.array, _slack(proof, first)
+    slack = _slack(proof, first)
     if not np.isfinite(proof.given[-1, :, first]).all():
         text += ": nothing bounds the derivatives of the path"
     elif not proof.tested[first]:
@@ -85,12 +120,10 @@ def _undecided(proof: Proof) -> Statement:
     elif not solved[first]:
         text += f": no solution of the equations was found, the path may be out of reach{slack}"
     else:
-        names = array.signature.equations.equations
-        rows = dict.fromkeys(names[array.rows[k][0]] for k in proof.equations.around(max(int(proof.failed[first]), 0)))
         beyond = ", and beyond it the path may be out of reach" if not solved[first : first + 2].all() else ""
         singular = f": the configuration is singular there{beyond or ', or two branches meet'}"
         kink = ": they have a kink or a jump there" if proof.switches[first] else singular
-        text += f", in the equations of {', '.join(list(rows)[:3])}{slack or kink}"
+        text += f", in the equations of {proof.equations.around(max(int(proof.failed[first]), 0))}{slack or kink}"
     return Statement(_MOTION, "undecided", text, float(proof.begin[first]))
 
 

@@ -197,7 +197,7 @@ def certify(
         statements += [Statement(what, "undecided", "the motion is not proved") for what, _ in wanted]
     else:
         jumps = jumps_of(proof)
-        statements += motion_statements(proof)
+        statements += motion_statements(proof, solution)
         if proof.proved.all():
             bounds, of_instants, spikes = compared(proof, solution, tolerance)
             statements, wanted = statements + of_instants, spikes + wanted

@@ -17,6 +17,7 @@ J does not depend on need no D: the solution is unique whatever they are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
@@ -24,9 +25,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.chebyshev import UP, Arithmetic, Model, arithmetic, magnitude, model_of, norm
+from servocore.certificate.chebyshev import UNIT, UP, Arithmetic, Model, arithmetic, magnitude, model_of, norm
 from servocore.certificate.walk import CONSTANT, Walk, lowered
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.components import Part, places_of, triangular_blocks
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS, computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
@@ -39,6 +41,7 @@ _ROOM = 1.0 + 1e-2  # radii are larger by that, so that iterations for them end
 _ROUNDED = 1.0 + 1e-6  # and so that the test holds with the rounding of its own sums
 _LEAST = 1e-17  # of an unknown's magnitude: radii are positive
 _ITERATIONS = 60
+_SURELY = 0.99  # less than one, with the rounding of a sum
 _KNOWN = 0.1  # radius: a step is one at the least, and known but for rounding elsewhere
 _COARSE = 3  # degree in time of the Jacobian and of approximate inverses of its blocks
 
@@ -79,12 +82,12 @@ class Equations:
     free : ndarray of bool
         Unknowns that may differ at joints: rates and derivatives by the states may jump, others are unique wherever
         they are.
-    rows, columns : ndarray of int
-        Equations and unknowns in the order of the form. It is lower triangular: the first block depends on no other.
-    ends : ndarray of int
-        Where blocks begin, and where the last one ends.
+    blocks : tuple of Part
+        The diagonal blocks of the Jacobian in that form, each behind those that it depends on.
+    sizes, block : ndarray of int
+        Numbers of entries of the blocks, and the block of each unknown.
     inside, own : ndarray of int
-        Places of entries of the Jacobian within the diagonal blocks, row by row, and among its own entries.
+        Places of entries of the Jacobian within the blocks, row by row, and among its own entries.
     begins, unknowns : ndarray of int
         Of I - Y J: where its rows begin among its entries, and the columns of these.
     test, newton : Walk
@@ -101,10 +104,9 @@ class Equations:
             slopes, change = (ca.mtimes(ca.jacobian(f, x), V) + ca.jacobian(f, s) for f in (rates, residual))
             x, residual = ca.vertcat(x, ca.vec(V)), ca.vertcat(residual, ca.vec(change))
         self.symbols = ca.vertcat(x, s, gamma, array.system.p, ca.SX.sym("t"))
-        # CasADi counts entries by columns: matrices are transposed.
         if varied:
             self.flow = Walk(ca.vertcat(rates, ca.vec(slopes)), self.symbols)
-        every, J = ca.vertcat(self.symbols, names), ca.jacobian(residual, x).T
+        every, J = ca.vertcat(self.symbols, names), ca.jacobian(residual, x)
         self.steps, self.residual = Walk(steps, self.symbols), Walk(residual, every)
         self.jacobian = Walk(J.nz[:], every)
         n = len(array.system.coordinates)
@@ -117,24 +119,28 @@ class Equations:
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
         held = [k for k, each in enumerate(array.determined) if each in resolved.array.unknowns]
         self.free = ~self.curved | ~np.isin(np.arange(x.numel()), held)
-        _, rows, columns, bounds, *_ = J.sparsity().T.btf()
-        self.rows, self.columns, size = np.array(rows), np.array(columns), len(rows)
-        self.ends = np.unique([0, size] if whole else bounds)
-        permuted, entry = J.sparsity().sub(columns, rows)
-        blocks = ca.diagcat(*(ca.Sparsity.dense(n, n) for n in np.diff(self.ends).tolist()))  # a symmetric pattern
-        places = size * np.array(permuted.get_col()) + np.array(permuted.row())
-        inside = np.array(blocks.get_nz(places.tolist()))
-        self.inside, self.own = inside[inside >= 0], np.array(entry)[inside >= 0]
-        Y, J, r = (ca.SX.sym(name, n) for name, n in (("Y", blocks.nnz()), ("J", len(entry)), ("r", size)))
-        off = ca.SX.eye(size) - ca.mtimes(ca.SX(permuted, J[entry]), ca.SX(blocks, Y))  # of the transposed matrices
+        size, blocks = x.numel(), triangular_blocks(J.sparsity())[::-1]
+        all_of_them = np.arange(size)
+        one = Part(all_of_them, all_of_them, np.arange(J.nnz()), places_of(J.sparsity()))
+        self.blocks = (one,) if whole else blocks
+        self.sizes = np.array([len(each.rows) ** 2 for each in self.blocks])
+        self.block, begins = np.zeros(size, dtype=int), (np.cumsum(self.sizes) - self.sizes).tolist()
+        Y, entries, r = (ca.SX.sym(name, n) for name, n in (("Y", self.sizes.sum()), ("J", J.nnz()), ("r", size)))
+        inverse, inside = ca.SX(size, size), list[Array]()
+        for k, (each, begin) in enumerate(zip(self.blocks, begins, strict=True)):
+            n, self.block[each.columns] = len(each.rows), k
+            inverse[each.columns.tolist(), each.rows.tolist()] = ca.reshape(Y[begin : begin + n**2], n, n).T
+            inside.append(begin + n * each.places[0] + each.places[1])
+        self.inside, self.own = np.concatenate(inside), np.concatenate([each.entries for each in self.blocks])
+        off = (ca.SX.eye(size) - ca.mtimes(inverse, ca.SX(J.sparsity(), entries))).T  # CasADi counts by columns
         self.begins, self.unknowns = np.array(off.sparsity().colind()[:-1]), np.array(off.sparsity().row())
-        self.test = Walk(off.nz[:], ca.vertcat(Y, J))
-        self.newton = Walk(ca.mtimes(ca.SX(blocks, Y).T, r[rows]), ca.vertcat(Y, r))
+        self.test = Walk(off.nz[:], ca.vertcat(Y, entries))
+        self.newton = Walk(ca.mtimes(inverse, r), ca.vertcat(Y, r))
 
-    def around(self, unknown: int) -> list[int]:
-        """Return the equations of the block that determines an unknown."""
-        last = int(np.searchsorted(self.ends, np.flatnonzero(self.columns == unknown)[0], side="right"))
-        return self.rows[self.ends[last - 1] : self.ends[last]].tolist()  # type: ignore[no-any-return]  # NumPy's stubs
+    def around(self, block: int) -> str:
+        """Return the names of some equations of a block."""
+        names = self.array.signature.equations.equations
+        return ", ".join([*dict.fromkeys(names[self.array.rows[k][0]] for k in self.blocks[block].rows)][:3])
 
 
 equations_of = made_once(Equations)
@@ -223,7 +229,7 @@ def radii(
     switches : ndarray of bool, shape (boxes,)
         Whether one of these takes more than one value.
     failed : ndarray of int, shape (boxes,)
-        The first unknown of the first block that was not proved; -1 if all were.
+        The first block that was not proved; -1 if all were.
     shift : ndarray, shape (terms, unknowns, boxes)
         What a step of Newton's method, block by block, would take off x_hat.
     """
@@ -238,21 +244,48 @@ def radii(
     inverse = np.insert(Y, terms, np.zeros((len(x) - terms, 1, 1)), axis=0)
     newton = equations.newton(ring, np.concatenate([inverse, residual], axis=1))
     A = magnitude(equations.test(coarse, np.concatenate([Y, J], axis=1)))
-    Z = np.maximum(magnitude(newton), _LEAST * sizes[equations.columns])
+    Z = np.maximum(magnitude(newton), _LEAST * sizes)
     rho, holds = _fixed(equations, A, Z)
-    first = equations.ends[np.searchsorted(equations.ends, holds.argmin(axis=0), side="right") - 1]
-    proved, order = holds.all(axis=0), np.argsort(equations.columns)
-    switches, failed = np.asarray((steps[-1] > _KNOWN).any(axis=0)), np.where(proved, -1, equations.columns[first])
-    return np.where(proved, rho, np.inf)[order], switches, failed, newton[:-1, order]
+    proved, switches = holds.all(axis=0), np.asarray((steps[-1] > _KNOWN).any(axis=0))
+    failed = np.where(holds, len(holds), equations.block[:, None]).min(axis=0)
+    return np.where(proved, rho, np.inf), switches, np.where(proved, -1, failed), newton[:-1]
+
+
+def block_signs(equations: Equations, J: Model) -> Array:
+    """Return the signs of the determinants of the diagonal blocks, shape (blocks, N); zero where one is not known.
+
+    With rows C of size one, NumPy's sign is that of C + F, |F| <= n 2^(n-1) gamma_n, by Gaussian elimination with
+    partial pivoting (Higham, *Accuracy and Stability*, theorem 9.3 and section 9.4). An approximate inverse X with
+    |I - X J| < 1 for all J within R + |F| of C shows that none of these is singular: all have the same sign.
+
+    Parameters
+    ----------
+    equations : Equations
+        With the blocks.
+    J : Model
+        Of degree 0, shape (2, entries, N): the entries of the Jacobian and their radii R at instants.
+    """
+    count = J.shape[2]
+    dense, signs = np.zeros((2, equations.sizes.sum(), count)), np.zeros((len(equations.blocks), count))
+    dense[:, equations.inside] = J[:, equations.own]
+    for k, matrices in enumerate(np.split(dense, np.cumsum(equations.sizes)[:-1], axis=1)):
+        n = len(equations.blocks[k].rows)
+        C, R = np.nan_to_num(matrices.reshape(2, n, n, count).transpose(0, 3, 1, 2))
+        size = np.maximum(np.abs(C).max(axis=2, keepdims=True), _LEAST)
+        C, R, X = C / size, R / size, np.linalg.pinv(C / size)
+        off = np.abs(np.eye(n) - X @ C) + np.abs(X) @ (R + (n**2 * 2.0 ** (n - 1) + n + 3.0) * UNIT)
+        signs[k] = np.where(off.sum(axis=2).max(axis=1) < _SURELY, np.linalg.slogdet(C).sign, 0.0)
+    return signs
 
 
 def _inverses(equations: Equations, ring: Arithmetic, entries: Array) -> Model:
     """Return interpolants of inverses of the blocks from entries (nodes, N, boxes) of these: any will do."""
-    nodes, sizes, boxes = len(entries), np.diff(equations.ends), entries.shape[2]
-    values = np.zeros((nodes, np.square(sizes).sum(), boxes))
+    nodes, sizes, boxes = len(entries), equations.sizes, entries.shape[2]
+    values = np.zeros((nodes, sizes.sum(), boxes))
     values[:, equations.inside] = entries
-    for size in np.unique(sizes).tolist():
-        where = ((np.cumsum(sizes**2) - sizes**2)[sizes == size, None] + np.arange(size**2)).ravel()
+    for square in np.unique(sizes).tolist():
+        size = math.isqrt(square)
+        where = ((np.cumsum(sizes) - sizes)[sizes == square, None] + np.arange(square)).ravel()
         matrices = np.moveaxis(values[:, where].reshape(nodes, -1, size, size, boxes), -1, 2)
         matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
         try:

@@ -15,14 +15,14 @@ from numpy.polynomial import chebyshev
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, derivative, magnitude, norm, summed
 from servocore.certificate.equations import equations_of, given_models, radii
-from servocore.certificate.proof import OUTSIDE, Proof, grid_of, smallest_peaks
+from servocore.certificate.proof import OUTSIDE, Proof, answers_near, grid_of, smallest_peaks
 from servocore.certificate.statements import Statement, compared
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 
-_SPLINE, _DEGREE = 5, 10  # degree of the spline through coordinates, and of polynomials on intervals
+_DEGREE = 10  # of polynomials on intervals
 _INSTANTS, _FEWEST = 3, 16  # of a solution in an interval; intervals
 _TUBE = 1e-7  # E, of peaks
 _SETTLED, _CORRECT = 1e-10, 1e-8  # last steps of Newton's method, of the largest unknown, and of peaks of states
@@ -125,21 +125,13 @@ class InternalProof(Proof):
         return np.asarray(np.maximum(norm(s[:-1]).max(axis=1), smallest_peaks(self.problem, self.problem.array.states)))
 
     def _near(self, solution: Solution) -> Model:
-        """Return polynomials of states, and begin with those of unknowns.
+        """Return polynomials of states near a solution, and begin with those of unknowns.
 
-        Coordinates are those of a spline, others by Newton's method at the nodes. Derivatives by the states begin at
-        zero: their equations are linear.
+        Derivatives by the states begin at zero: their equations are linear.
         """
-        from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - all commands import this module
-
-        array, degree = self.problem.array, min(_SPLINE, len(solution.t) - 1)
+        array = self.problem.array
         t = (self.begin + self.end + (self.end - self.begin) * self.ring.nodes).ravel() / 2.0
-        guess = guessed_unknowns(self.problem, t)
-        for k, (j, order) in enumerate(array.unknowns):
-            if j < len(self.problem.system.coordinates) and order <= degree:
-                curve = make_interp_spline(solution.t, solution[array.names[j].removeprefix("q.")], k=degree)
-                guess[k] = curve.derivative(order)(t)
-        found = unknowns_from(self.problem, t, guess)
+        found = answers_near(self.problem, solution, t)
         found = self.ring.tried(np.moveaxis(found.reshape(len(found), -1, len(self.begin)), 1, 0))
         self.x[:] = 0.0
         self.x[:, : len(array.determined)] = found[:, array.places(array.determined)]
@@ -148,7 +140,7 @@ class InternalProof(Proof):
     def _correct(self, s: Model) -> None:
         """Take steps of Newton's method for the unknowns at states, the blocks one after the other."""
         self.given[:, : s.shape[1]], self.x[-1] = s, 0.0
-        for _ in self.equations.ends:
+        for _ in range(len(self.equations.blocks) + 1):
             x, nothing = self.x[:-1], np.zeros(self.x.shape[1:])
             *_, shift = radii(self.equations, self.ring, x, self.given, nothing, nothing[:, :1])
             if (norm(shift) <= _SETTLED * norm(x).max()).all():

@@ -22,6 +22,8 @@ from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
 from servocore.references.base import Reference
+from servocore.solution import Solution
+from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 from servocore.structure.derivative_array import DerivativeArray, nominal
 from servocore.structure.inversion import Inversion, inversion
 
@@ -29,9 +31,10 @@ Mask = npt.NDArray[np.bool_]
 """Marks of intervals."""
 
 _DEGREE = 10
+_SPLINE = 5  # degree of the spline through coordinates of a solution
 _FIRST, _BOXED = 20, 8  # intervals of a path to begin with, each piece of it one at the least; for a box of parameters
 OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
-_REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
+REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
 _NARROW = 0.05  # of the tolerance: radius of the inputs at which no interval is halved any more
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
@@ -56,6 +59,21 @@ def smallest_peaks(problem: Problem, variables: Sequence[tuple[int, int]]) -> Ar
     """Return the least that counts as a peak of variables, each by its number and the order of its derivative."""
     duration = problem.reference.duration
     return np.array([1e-6 * nominal(problem.system, j) / duration**order for j, order in variables])
+
+
+def answers_near(problem: Problem, solution: Solution, t: Array) -> Array:
+    """Return unknowns of the derivative array (size, N) at times by Newton's method from a solution near them.
+
+    It starts from a spline through the coordinates, and from the guess of the model for the others.
+    """
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - all commands import this module
+
+    array, degree, guess = problem.array, min(_SPLINE, len(solution.t) - 1), guessed_unknowns(problem, t)
+    for k, (j, order) in enumerate(array.unknowns):
+        if j < len(problem.system.coordinates) and order <= degree:
+            curve = make_interp_spline(solution.t, solution[array.names[j].removeprefix("q.")], k=degree)
+            guess[k] = curve.derivative(order)(t)
+    return unknowns_from(problem, t, guess)
 
 
 class Proof:
@@ -93,7 +111,7 @@ class Proof:
     D : ndarray, shape (unknowns, N)
         Where solutions are the only ones.
     failed : ndarray of int, shape (N,)
-        The first unknown that was not proved; -1 for none.
+        The first block of equations that was not proved; -1 for none.
     relative : ndarray, shape (N,)
         The largest radius of an input, of its peak; infinite if the motion is not proved.
     """
@@ -121,7 +139,7 @@ class Proof:
     def _begin(self, problem: Problem, equations: Equations, tolerance: float, grid: Array) -> None:
         """Begin with intervals between instants, of which nothing is known."""
         self.problem, self.equations, self.tolerance, self.joints = problem, equations, tolerance, list[str]()
-        n, unknowns = len(grid) - 1, len(equations.columns)
+        n, unknowns = len(grid) - 1, len(equations.block)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
         self.tested, self.switches = np.zeros((2, n), dtype=bool)
         self.relative, self.before = np.full(n, np.inf), np.full((2, n), np.inf)
@@ -197,13 +215,20 @@ class Proof:
             self.joints, wide = self._joints(), self._too_wide()
 
     def _halve(self, halved: Mask) -> None:
-        """Replace intervals by their halves, of which nothing is known."""
-        parts, middle = np.repeat(np.arange(len(halved)), 1 + halved), (self.begin + self.end) / 2.0
+        """Replace intervals by their halves, of which nothing is known.
+
+        Of intervals outside the path the halves beside it are enough.
+        """
+        path, middle = self.problem.reference, (self.begin + self.end) / 2.0
+        parts = np.repeat(np.arange(len(halved)), 1 + halved)
         late = np.diff(parts, prepend=-1) == 0
-        for name in "begin", "end", "depth", "failed", "tested", "switches", "relative", "before", "x", "D", "given":
+        begin = np.where(late, middle[parts], self.begin[parts])
+        end = np.where(halved[parts] & ~late, middle[parts], self.end[parts])
+        beside = (path.start_time <= end) & (begin <= path.end_time)
+        parts = parts[beside]
+        for name in "depth", "failed", "tested", "switches", "relative", "before", "x", "D", "given":
             setattr(self, name, getattr(self, name)[..., parts])
-        new, middle = halved[parts], middle[parts]
-        self.begin, self.end = np.where(late, middle, self.begin), np.where(new & ~late, middle, self.end)
+        self.begin, self.end, new = begin[beside], end[beside], halved[parts]
         self.depth, self.before[:, new] = self.depth + new, [self.before[1, new], self.relative[new]]
         self.tested[new], self.relative[new], self.x[..., new] = False, np.inf, np.nan
 
@@ -218,9 +243,11 @@ class Proof:
     def _too_wide(self) -> Mask:
         """Return whether intervals are proved, not well enough, and halves may help.
 
-        They do not where the radius, of rounding errors, is hardly less than that of what an interval is a quarter of.
+        They do not where the radius, of rounding errors, is hardly less than that of what an interval is a quarter of,
+        and a half where it is nearly small enough.
         """
-        wide = (self._narrow < self.relative) & (self.relative <= self.before[0] / 2.0)
+        before = np.where(self.relative < 2.0 * self._narrow, self.before[1], self.before[0])
+        wide = (self._narrow < self.relative) & (self.relative <= before / 2.0)
         return np.asarray(np.where(self.jumping, self.within, wide) & self.proved & (self.depth < _DEEPEST))
 
     # Answers and test -----------------------------------------------------------------------------------------------
@@ -260,7 +287,7 @@ class Proof:
             if not some.any():
                 return
             model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
-            D = _REACH * peaks * 0.5 ** self.depth[some]
+            D = REACH * peaks * 0.5 ** self.depth[some]
             D[equations.switching] = _TIGHT * peaks[equations.switching]
             x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
             for left in reversed(range(_CENTRED)):

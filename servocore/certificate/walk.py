@@ -7,27 +7,21 @@ where that may come to zero.
 
 from __future__ import annotations
 
-import math
-import operator
-import threading
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from functools import reduce
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from servocore.certificate.chebyshev import LANES, MINUS, PLUS, TIMES, Arithmetic, Model, bounded, carry_out, magnitude
-from servocore.numerics.step_operations import KINKS, computed, operations_of, rebuilt
+from servocore.numerics.step_operations import computed, operations_of, rebuilt
 
 Rule: TypeAlias = Callable[..., Model]
 _Functions: TypeAlias = defaultdict[Rule, dict[tuple[int, ...], int]]
 """Of each rule the places of results by those of their arguments."""
 
-_KEPT = threading.local()
 _ROUNDED = 1e-9  # of a condition
-_MOST_MULTIPLIED = 32  # whole powers up to this are products, others exp(b log(a))
 
 
 class Walk:
@@ -73,7 +67,7 @@ class Walk:
         boxes = arguments.shape[2]
         if boxes < LANES:  # the last box is repeated
             arguments = arguments[..., np.minimum(np.arange(LANES), boxes - 1)]
-        places = _workspace(len(self._depth), *arguments.shape[::2])
+        places = np.empty((len(self._depth), *arguments.shape[::2]))
         models = places.swapaxes(0, 1)
         models[:, [*self._arguments.values()]] = arguments[:, [*self._arguments]]
         models[:, [*self._constants.values()]] = ring.constant(self._values)
@@ -98,16 +92,8 @@ class Walk:
         if number in _STEPS:
             self._steps[depth].append((_STEPS[number], place := self._place(depth), a, b))
             return place
-        results = self._functions[depth + 1][_RULES[number]]
+        results = self._functions[depth + 1][_RULES.get(number, _no_bound)]
         return results.get((*arguments,)) or results.setdefault((*arguments,), self._place(depth + 1))
-
-
-def _workspace(*shape: int) -> Model:
-    """Return memory for models that a thread uses again: new pages take the system longer than many programs."""
-    size, memory = math.prod(shape), getattr(_KEPT, "memory", np.empty(0))
-    if size > memory.size:
-        memory = _KEPT.memory = np.empty(size)
-    return np.asarray(memory[:size].reshape(shape))
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------
@@ -120,13 +106,7 @@ def lowered(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
 
 
 def _power(a: ca.SX, b: ca.SX) -> ca.SX:
-    exponent = float(b) if b.is_constant() else np.nan
-    if exponent == 0.5:
-        return ca.sqrt(a)
-    if exponent.is_integer() and abs(exponent) <= _MOST_MULTIPLIED:
-        result = reduce(operator.mul, [a] * int(abs(exponent)), ca.SX(1.0))
-        return 1.0 / result if exponent < 0 else result
-    return ca.exp(b * ca.log(a))
+    return ca.exp(b * ca.log(a))  # whole powers up to a hundred are products of CasADi's
 
 
 def _tangent(a: ca.SX) -> ca.SX:
@@ -138,7 +118,10 @@ _LOWERED: dict[int, Callable[..., ca.SX]] = {
     ca.OP_ATAN: lambda a: ca.atan2(a, ca.SX(1.0)), ca.OP_ASIN: lambda a: ca.atan2(a, ca.sqrt(1.0 - a * a)),
     ca.OP_ACOS: lambda a: ca.atan2(ca.sqrt(1.0 - a * a), a), ca.OP_SINH: lambda a: (ca.exp(a) - ca.exp(-a)) / 2.0,
     ca.OP_COSH: lambda a: (ca.exp(a) + ca.exp(-a)) / 2.0, ca.OP_HYPOT: lambda a, b: ca.sqrt(a * a + b * b),
-    ca.OP_FABS: lambda a: a * ca.sign(a), ca.OP_LT: lambda a, b: computed(ca.OP_LT, [ca.SX(0.0), b - a]),
+    ca.OP_ASINH: lambda a: ca.log(a + ca.sqrt(a * a + 1.0)), ca.OP_ACOSH: lambda a: ca.log(a + ca.sqrt(a * a - 1.0)),
+    ca.OP_ATANH: lambda a: ca.log((1.0 + a) / (1.0 - a)) / 2.0, ca.OP_LOG1P: lambda a: ca.log(1.0 + a),
+    ca.OP_EXPM1: lambda a: ca.exp(a) - ca.SX(1.0), ca.OP_FABS: lambda a: a * ca.sign(a),
+    ca.OP_LT: lambda a, b: computed(ca.OP_LT, [ca.SX(0.0), b - a]),
     ca.OP_LE: lambda a, b: computed(ca.OP_LE, [ca.SX(0.0), b - a]), ca.OP_NOT: lambda a: 1.0 - a,
     ca.OP_FMAX: lambda a, b: (a + b + (a - b) * ca.sign(a - b)) / 2.0, ca.OP_AND: lambda a, b: a * b,
     ca.OP_FMIN: lambda a, b: (a + b - (a - b) * ca.sign(a - b)) / 2.0, ca.OP_OR: lambda a, b: a + b - a * b,
@@ -174,7 +157,7 @@ def _no_bound(_: Arithmetic, a: Model, *__: Model) -> Model:
 
 
 _RULES: dict[int, Rule] = {
-    **dict.fromkeys(KINKS, _no_bound), ca.OP_INV: Arithmetic.inverse, ca.OP_SQRT: Arithmetic.root,
+    ca.OP_INV: Arithmetic.inverse, ca.OP_SQRT: Arithmetic.root,
     ca.OP_SIN: lambda ring, a: ring.sine_and_cosine(a)[0], ca.OP_COS: lambda ring, a: ring.sine_and_cosine(a)[1],
     ca.OP_EXP: Arithmetic.exponential, ca.OP_LOG: Arithmetic.logarithm, ca.OP_TANH: Arithmetic.hyperbolic_tangent,
     ca.OP_ATAN2: Arithmetic.angle, ca.OP_SIGN: lambda ring, a: ring.rising(np.sign, a),

@@ -35,12 +35,15 @@ pi: float
 inf: float
 
 OP_ACOS: int
+OP_ACOSH: int
 OP_ADD: int
 OP_AND: int
 OP_ASIN: int
+OP_ASINH: int
 OP_ASSIGN: int
 OP_ATAN: int
 OP_ATAN2: int
+OP_ATANH: int
 OP_CALL: int
 OP_CEIL: int
 OP_CONST: int
@@ -51,6 +54,7 @@ OP_COS: int
 OP_DIV: int
 OP_EQ: int
 OP_EXP: int
+OP_EXPM1: int
 OP_FABS: int
 OP_FLOOR: int
 OP_FMAX: int
@@ -62,6 +66,7 @@ OP_INPUT: int
 OP_INV: int
 OP_LE: int
 OP_LOG: int
+OP_LOG1P: int
 OP_LT: int
 OP_MTIMES: int
 OP_MUL: int
