@@ -8,9 +8,10 @@ import numpy as np
 
 from servocore.certificate.chebyshev import arithmetic, model_of
 from servocore.certificate.equations import block_signs, equations_of, given_models, radii
-from servocore.certificate.proof import REACH, Proof, answers_near, smallest_peaks
+from servocore.certificate.proof import REACH, Proof, smallest_peaks
 from servocore.certificate.statements import DEFINITE, Statement, claims_of, known, walk_of_limits
 from servocore.solution import Solution
+from servocore.stepping.exact_evaluation import unknowns_near
 
 _MOTION, _BRANCH, _SMOOTH = (
     "one motion, regular at all times", "one branch from the beginning to the end", "path smooth enough for the motion"
@@ -80,7 +81,7 @@ def _singular(proof: Proof, solution: Solution | None) -> Statement | None:
     path, array = problem.reference, problem.array
     if solution is None or proof.boxed or not problem.flat:
         return None
-    t, x, equations = solution.t, answers_near(problem, solution, solution.t), equations_of(problem.resolved, False)
+    t, x, equations = solution.t, unknowns_near(problem, solution, solution.t), equations_of(problem.resolved, False)
     peaks = np.fmax(np.fmax.reduce(np.abs(x), axis=1), smallest_peaks(problem, array.unknowns))[:, None]
     given, D = given_models(problem, array, ring, np.stack([t, t]), {}), np.tile(REACH * peaks, len(t))
     rho, *_ = radii(equations, ring, x[None], given, D, peaks)

@@ -15,12 +15,12 @@ from numpy.polynomial import chebyshev
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, derivative, magnitude, norm, summed
 from servocore.certificate.equations import equations_of, given_models, radii
-from servocore.certificate.proof import OUTSIDE, Proof, answers_near, grid_of, smallest_peaks
+from servocore.certificate.proof import OUTSIDE, Proof, grid_of, smallest_peaks
 from servocore.certificate.statements import Statement, compared
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
+from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from, unknowns_near
 
 _DEGREE = 10  # of polynomials on intervals
 _INSTANTS, _FEWEST = 3, 16  # of a solution in an interval; intervals
@@ -131,7 +131,7 @@ class InternalProof(Proof):
         """
         array = self.problem.array
         t = (self.begin + self.end + (self.end - self.begin) * self.ring.nodes).ravel() / 2.0
-        found = answers_near(self.problem, solution, t)
+        found = unknowns_near(self.problem, solution, t)
         found = self.ring.tried(np.moveaxis(found.reshape(len(found), -1, len(self.begin)), 1, 0))
         self.x[:] = 0.0
         self.x[:, : len(array.determined)] = found[:, array.places(array.determined)]

@@ -22,8 +22,6 @@ from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.solution import Solution
-from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from
 from servocore.structure.derivative_array import DerivativeArray, nominal
 from servocore.structure.inversion import Inversion, inversion
 
@@ -31,7 +29,6 @@ Mask = npt.NDArray[np.bool_]
 """Marks of intervals."""
 
 _DEGREE = 10
-_SPLINE = 5  # degree of the spline through coordinates of a solution
 _FIRST, _BOXED = 20, 8  # intervals of a path to begin with, each piece of it one at the least; for a box of parameters
 OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
@@ -59,21 +56,6 @@ def smallest_peaks(problem: Problem, variables: Sequence[tuple[int, int]]) -> Ar
     """Return the least that counts as a peak of variables, each by its number and the order of its derivative."""
     duration = problem.reference.duration
     return np.array([1e-6 * nominal(problem.system, j) / duration**order for j, order in variables])
-
-
-def answers_near(problem: Problem, solution: Solution, t: Array) -> Array:
-    """Return unknowns of the derivative array (size, N) at times by Newton's method from a solution near them.
-
-    It starts from a spline through the coordinates, and from the guess of the model for the others.
-    """
-    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - all commands import this module
-
-    array, degree, guess = problem.array, min(_SPLINE, len(solution.t) - 1), guessed_unknowns(problem, t)
-    for k, (j, order) in enumerate(array.unknowns):
-        if j < len(problem.system.coordinates) and order <= degree:
-            curve = make_interp_spline(solution.t, solution[array.names[j].removeprefix("q.")], k=degree)
-            guess[k] = curve.derivative(order)(t)
-    return unknowns_from(problem, t, guess)
 
 
 class Proof:

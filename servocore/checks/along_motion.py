@@ -49,7 +49,7 @@ def left_out(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
     """
     if not problem.resolved.redundant:
         return
-    values, shares = along_path(problem, _compiled_left_out(problem.resolved), t, q)
+    values, shares, _ = along_path(problem, _compiled_properties(problem.resolved), t, q)
     broken = np.abs(shares) > LEFT_OUT_HOLDS
     if broken.any():
         row, k = (int(place) for place in np.argwhere(broken.T)[0][::-1])
@@ -85,11 +85,11 @@ def _names(problem: Problem) -> list[str]:
 
 
 @made_once
-def _compiled_left_out(resolved: ResolvedSystem) -> ca.Function:
-    """Compile (q, path with the time, p) -> constraints left out, and how far they are from holding."""
+def _compiled_properties(resolved: ResolvedSystem) -> ca.Function:
+    """Compile (q, path with the time, p) -> constraints left out, how far they are from holding, mass matrix."""
     system = resolved.system
-    results = [ca.densify(resolved.left_out), resolved.left_out_shares]
-    return ca.Function("sc_left_out", [system.q, system.gamma[:, 0], system.p], results)
+    results = [ca.densify(resolved.left_out), resolved.left_out_shares, ca.vec(ca.densify(system.mass))]
+    return ca.Function("sc_properties", [system.q, system.gamma[:, 0], system.p], results)
 
 
 def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
@@ -101,20 +101,13 @@ def negative_masses(problem: Problem, t: Array, q: Array) -> Iterator[Finding]:
         return
     few = np.arange(_INSTANTS) * (len(t) - 1) // (_INSTANTS - 1)
     t, q = t[few], q[:, few]
-    masses = along_path(problem, _compiled_mass(problem.resolved), t, q)[0]
+    *_, masses = along_path(problem, _compiled_properties(problem.resolved), t, q)
     eigenvalues = np.linalg.eigvalsh(np.where(np.isfinite(masses), masses, 0.0).T.reshape(len(t), len(q), len(q)))
     negative = np.flatnonzero(eigenvalues[:, 0] < -ROUND_OFF * np.abs(eigenvalues).max(axis=1))
     if len(negative):
         k = int(negative[0])
         what = f"at t = {t[k]:.6g} s the mass matrix has the negative eigenvalue {eigenvalues[k, 0]:.4g}"
         yield Finding(f"{what}; no mechanism has negative mass", error=InvalidModel)
-
-
-@made_once
-def _compiled_mass(resolved: ResolvedSystem) -> ca.Function:
-    """Compile (q, nothing of the path, p) -> mass matrix."""
-    system = resolved.system
-    return ca.Function("sc_mass", [system.q, ca.SX.sym("none", 1), system.p], [ca.vec(ca.densify(system.mass))])
 
 
 _SLACK = 0.02  # of the median before: tensions below, lengths above as many times

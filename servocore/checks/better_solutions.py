@@ -195,9 +195,7 @@ class BetterSolver:
         t, inputs = solution.t, len(problem.system.inputs)
         if self.exact:
             exact = self.run(problem, t)
-            better = exact.values
-            if not np.array_equal(exact.t, t):
-                better = np.column_stack([np.interp(t, exact.t, column) for column in better.T])
+            better = np.column_stack([np.interp(t, exact.t, column) for column in exact.values.T])
             return Comparison(solution, better, self.basis, better[:, :inputs])
         found, failed, comparison = list[Array](), ServocoreError("no step was small enough"), None
         first = [2**k for k in range(_MOST_HALVINGS + 1)]

@@ -106,8 +106,7 @@ def ahead(array: DerivativeArray, states: Array, h: Array) -> Array:
 class Rows:
     """Unknowns that are watched, the places of their rates (-1 where unknown), and which of them wrap.
 
-    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`. `incomplete` says
-    whether some rates are unknown, and `turns` whether some unknowns wrap.
+    Each belongs to a coordinate at a place of its own, which rests if its range is less than `still`.
     """
 
     values: Places
@@ -115,8 +114,6 @@ class Rows:
     wraps: npt.NDArray[np.bool_]
     coordinates: Places
     still: Array
-    incomplete: bool
-    turns: bool
 
     @classmethod
     def of(cls, array: DerivativeArray, watched: Sequence[tuple[int, int]]) -> Rows:
@@ -126,7 +123,7 @@ class Rows:
         values, rates, coordinates = np.array(at, dtype=np.intp).reshape(-1, 3).T
         wraps = np.array([system.quantities[j].wraps and k == 0 for j, k in watched], dtype=bool)
         still = ROUND_OFF * np.array(system.nominal)[[j for j, _ in watched]]
-        return cls(values, rates, wraps, coordinates, still, bool((rates < 0).any()), bool(wraps.any()))
+        return cls(values, rates, wraps, coordinates, still)
 
     def ranges(self, states: Array) -> Array:
         """Return the ranges of the values of unknowns (size, N), infinite where a coordinate rests."""
@@ -138,11 +135,10 @@ class Rows:
     def missed(self, first: Array, last: Array, h: Array) -> Array:
         """Return how much more values change from `first` to `last` (size, N), `h` later, than their mean rates say."""
         way, rates = last[self.values] - first[self.values], first[self.rates] + last[self.rates]
-        if self.incomplete:
-            rates[self.rates < 0] = 0.0
+        rates[self.rates < 0] = 0.0
         rates *= h / 2.0
         way -= rates
-        if self.turns:
+        if self.wraps.any():
             way[self.wraps] = wrapped_angle(way[self.wraps])
         missed: Array = np.abs(way, out=way)
         return missed

@@ -26,8 +26,7 @@ from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import subdivided, survey
-from servocore.solution import Solution
-from servocore.stepping.exact_evaluation import exact_unknowns, guessed_unknowns, unknowns_from
+from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_from
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,19 +153,6 @@ def enough(t: Array) -> tuple[Array, int]:
     while math.gcd(parts, 2 * 3 * 5) > 1:
         parts += 1
     return subdivided(t, parts), parts
-
-
-def unknowns_near(problem: Problem, solution: Solution) -> Array:
-    """Return all unknowns of the derivative array (size, N) nearest to a run, its internal states as they are there."""
-    array, t = problem.array, solution.t
-    guess = guessed_unknowns(problem, t)
-    for k, (j, order) in enumerate(array.unknowns):
-        kind, _, name = array.names[j].partition(".")
-        if kind != "lam" and order < 3 and name in solution:
-            guess[k] = solution[name]
-            for _ in range(order):
-                guess[k] = np.gradient(guess[k], t)
-    return unknowns_from(problem, t, guess)
 
 
 def poles_passed(motion: Motion, steps: Places, values: Array, channels: Sequence[Quantity]) -> Iterator[Finding]:

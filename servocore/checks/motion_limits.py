@@ -53,9 +53,6 @@ def first_broken(
     """
     if limit.over_run:
         t, values, evaluate = t[-1:], values[-1:], None
-    low, high = values.min(initial=np.inf), values.max(initial=-np.inf)
-    if -np.inf < low >= limit.bound and np.inf > high <= limit.upper:  # not where one is no number
-        return None
     bounds = [abs(each) for each in (limit.bound, limit.upper) if np.isfinite(each)]
     size = max(bounds, default=0.0) or float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
     margins = margin_within(limit, values, size)
@@ -226,9 +223,8 @@ def with_limits_kept(motion: Motion, solution: Solution) -> Solution:
     """Return a solution with its margins; raise `LimitBroken` if the exact motion or the solution breaks a limit."""
     values, limits, t = require_limits(motion), motion.problem.motion_limits, solution.t
     for limit in limits:
-        if not limit.rate and limit.reported in solution:
-            broken = first_broken(solution.route, limit, t, solution[limit.reported])
-            if broken is not None:
-                raise LimitBroken(f"{broken[1]}; the exact motion keeps that limit")
+        known = not limit.rate and limit.reported in solution
+        if known and (broken := first_broken(solution.route, limit, t, solution[limit.reported])):
+            raise LimitBroken(f"{broken[1]}; the exact motion keeps that limit")
     parts = (len(motion.t) - 1) // (len(t) - 1)
     return replace(solution, margins=margins_of(limits, [*values[:, ::parts]], t))

@@ -13,7 +13,7 @@ from servocore.checks.before_run import ADVICE, internal_dynamics, require_feasi
 from servocore.checks.better_solutions import LARGEST_UNWARNED, BetterSolver, steps_that_stand_out, unknown_errors
 from servocore.checks.between_instants import hidden_values
 from servocore.checks.findings import Finding, told
-from servocore.checks.motion import Motion, passed, poles_passed, unknowns_near
+from servocore.checks.motion import Motion, passed, poles_passed
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -36,7 +36,7 @@ from servocore.solution import ErrorEstimate, Solution, Statistics
 from servocore.solvers.exact_inversion import Pointwise
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
 from servocore.solvers.runs import Progress, with_run_quantities
-from servocore.stepping.exact_evaluation import exact_unknowns
+from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_near
 from servocore.stepping.prescribed_initial_values import require_start
 from servocore.stepping.program import program_of
 
@@ -187,7 +187,7 @@ def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
         inputs = solution.values[:, : len(problem.system.inputs)]
         odd = steps_that_stand_out(inputs)
         if kinked or len(odd):
-            motion = Motion(problem, t, unknowns_near(problem, solution), by_guess=False)
+            motion = Motion(problem, t, unknowns_near(problem, solution, t), by_guess=False)
             yield from poles_passed(motion, odd, inputs.T, problem.system.inputs)
     if motion is None:
         return

@@ -20,8 +20,10 @@ from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Formula, Reference
+from servocore.solution import Solution
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
 
+_SPLINE = 5  # degree of the spline through coordinates of a solution
 _FEW = 400  # instants: for so many the interpreter evaluates the path in less time than NumPy
 
 
@@ -271,6 +273,21 @@ def unknowns_from(problem: Problem, t: Array, guess: Array) -> Array:
 def guessed_unknowns(problem: Problem, t: Array) -> Array:
     """Return the guess of the unknowns of the derivative array (size, N) at instants."""
     return along_path(problem, inversion(problem.array).guess, t)[0].copy()
+
+
+def unknowns_near(problem: Problem, solution: Solution, t: Array) -> Array:
+    """Return unknowns of the derivative array (size, N) at times by Newton's method from a solution near them.
+
+    It starts from a spline through the coordinates, and from the guess of the model for the others.
+    """
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    array, degree, guess = problem.array, min(_SPLINE, len(solution.t) - 1), guessed_unknowns(problem, t)
+    for k, (j, order) in enumerate(array.unknowns):
+        if j < len(problem.system.coordinates) and order <= degree:
+            curve = make_interp_spline(solution.t, solution[array.names[j].removeprefix("q.")], k=degree)
+            guess[k] = curve.derivative(order)(t)
+    return unknowns_from(problem, t, guess)
 
 
 @made_once
