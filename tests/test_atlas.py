@@ -29,6 +29,7 @@ from benchmarks.atlas.record import (
 from benchmarks.atlas.row03_inconsistent_start import prediction
 from benchmarks.atlas.row04_drift_off import one_step
 from benchmarks.atlas.row04_drift_off import scene as pendulum_scene
+from benchmarks.atlas.row11_variable_steps import alternating, inputs_along
 from benchmarks.atlas.rows import ROWS, named
 from servocore.stepping.forward_dynamics import STABILIZATION_RATE
 
@@ -100,9 +101,12 @@ def test_forward_integration_of_unstable_internal_dynamics_grows_at_the_eigenval
 
 
 def test_alternating_steps_cost_half_of_the_differenced_inertia_force() -> None:
-    facts = found("variable-steps").facts
-    assert facts["alternating"] == pytest.approx(facts["half"], rel=0.1)
-    assert facts["alternating"] > 0.2
+    cars = sc.scenes.cars()
+    t, u = inputs_along(cars, sc.Projected(), sc.BackwardEuler(), alternating(384))
+    exact = cars.exact(t)["u"]
+    inertia = exact - cars.parameter_values()["mass_1"] * cars.reference.jet(t, 2)[:, 2, 0]
+    assert np.abs(u - exact).max() == pytest.approx(0.5 * np.abs(inertia).max(), rel=0.1)
+    assert np.abs(u - exact).max() > 0.2 * np.abs(exact).max()
 
 
 def test_a_bar_marched_in_space_acts_before_its_path_and_a_chain_does_not() -> None:

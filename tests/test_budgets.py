@@ -110,9 +110,20 @@ def test_members_that_are_not_kept_are_for_the_night() -> None:
         thinned([1, 2], lambda _: False)
 
 
+TEXT, NUMBER = '#include "a.h"\nint answer(void) { return NUMBER; }\n', "#define NUMBER 42\n"
+CHANGED: dict[str, tuple[str, ...]] = {
+    "nothing": (TEXT, NUMBER),
+    "source": (TEXT.replace("answer", "reply"), NUMBER),
+    "header": (TEXT, NUMBER.replace("42", "43")),
+    "option": (TEXT, NUMBER, "-O2"),
+    "warning": (f"{TEXT}#warning x\n", NUMBER),
+}
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="the compiler that is kept is a shell script")
+@pytest.mark.parametrize("what", CHANGED)
 def test_a_library_is_compiled_again_only_if_something_of_it_has_changed(
-    tmp_path: Path, compiler: list[str], monkeypatch: pytest.MonkeyPatch
+    what: str, tmp_path: Path, compiler: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept, tools, headers = (tmp_path / name for name in ("kept", "tools", "headers"))
     for folder in (kept, tools, headers):
@@ -134,17 +145,9 @@ def test_a_library_is_compiled_again_only_if_something_of_it_has_changed(
             subprocess.run([*command, *words], cwd=place, check=True, env=dict(os.environ))
         return (place / "a.so").read_bytes() + (place / "a.su").read_bytes()
 
-    text, number = '#include "a.h"\nint answer(void) { return NUMBER; }\n', "#define NUMBER 42\n"
-    first = compiled("one", text, number)
-    assert compiled("another", text, number) == first
-    assert len((tmp_path / "count").read_text().split()) == 2
-    changed = [
-        compiled("one", text.replace("answer", "reply"), number),
-        compiled("one", text, number.replace("42", "43")),
-        compiled("one", text, number, "-O2"),
-    ]
-    assert first not in changed
-    assert len((tmp_path / "count").read_text().split()) == 8
-    for place in ("two", "three"):  # whose warnings are to be seen again
-        compiled(place, f"{text}#warning x\n", number)
-    assert len((tmp_path / "count").read_text().split()) == 11
+    first, second = compiled("one", TEXT, NUMBER), compiled("two", *CHANGED[what])
+    made = 2 if what == "nothing" else 4
+    assert len((tmp_path / "count").read_text().split()) == made
+    assert (first == second) == (what in {"nothing", "warning"})
+    compiled("three", *CHANGED[what])
+    assert len((tmp_path / "count").read_text().split()) == made + (what == "warning")  # which is to be seen again

@@ -17,13 +17,14 @@ import servocore as sc
 from benchmarks.chart import calls, own, scale, selection
 from benchmarks.chart.__main__ import main
 from benchmarks.chart.candidate import Answer, Candidate, Prepared, Problem
+from benchmarks.chart.facts import gather
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, make_form
 from benchmarks.chart.orders import fit_order, round_off_constant
 from benchmarks.chart.page import PAGE, render, write_tables
-from benchmarks.chart.record import ORDER_SCENE, read_record
+from benchmarks.chart.record import ORDER_SCENE, read_record, write_record
 from benchmarks.chart.requirements import NO_REASON, REASONS, requirements
 from benchmarks.chart.rows import COLUMNS, Row, read_rows
-from benchmarks.chart.study import PEERS, Effort, peer_candidates, problems
+from benchmarks.chart.study import PEERS, Effort, carry_out, peer_candidates, problems
 from benchmarks.chart.timing import Timed, measure
 from servocore.numerics.compiled_calls import Array
 
@@ -48,6 +49,21 @@ def headings(text: str) -> list[str]:
 
 
 # A run ---------------------------------------------------------------------------------------------------------------
+
+
+def test_what_is_measured_of_a_scene_is_written_and_read_for_the_page(tmp_path: Path) -> None:
+    scene = next(each for each in problems() if each.name == "three_cars")
+    timed = carry_out(Effort(smoke=True, peers=(), only=(scene.name,), budget=0.0), lambda _: None)
+    write_record(tmp_path, timed, {**gather([scene], True), "minutes": 0.0})
+    record = read_record(tmp_path)
+    write_tables(record, tmp_path)
+    with (tmp_path / "results.csv").open(newline="") as stream:
+        assert tuple(next(csv.reader(stream))) == COLUMNS
+    errors = {row.method: present(row.error) for row in read_rows(tmp_path / "results.csv")}
+    assert errors["vectorized NumPy"] == 0.0
+    assert errors["exact inversion"] < 1e-10
+    assert 1e-3 < errors["backward-euler"] < 1.0
+    assert tuple(headings(render(record))) == SECTIONS
 
 
 def test_a_run_writes_the_columns_that_are_promised(smoke: Path) -> None:

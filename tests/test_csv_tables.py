@@ -330,12 +330,14 @@ def test_no_tolerance_is_proposed_where_it_would_hide_the_path() -> None:
 # --- very many rows ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("tolerance", [None, 2e-4])
+@pytest.mark.parametrize(("few", "tolerance"), [(5_000, None), (5_000, 2e-4), (500, None)])
 def test_very_many_samples_are_fitted_as_if_they_were_few(
-    tolerance: float | None, monkeypatch: pytest.MonkeyPatch
+    few: int, tolerance: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(bspline, "_MANY", 4 * few)
+    monkeypatch.setattr(splines, "_FEW", few)
     curve = sc.through(PLACES, TIMES)
-    t = np.linspace(0.0, 25.0, 25_001)
+    t = np.linspace(0.0, 25.0, 5 * few + 1)
     rows = curve.jet(t, 0)[:, 0]
     if tolerance is not None:
         rows = rows + 3e-5 * np.random.default_rng(1).standard_normal(rows.shape)
@@ -348,7 +350,7 @@ def test_very_many_samples_are_fitted_as_if_they_were_few(
 
     monkeypatch.setattr(splines, "fit", counted)
     found = sc.sampled(t, rows, tolerance)
-    assert min(sizes) == 5_000
+    assert min(sizes) == few
     assert sum(size == len(t) for size in sizes) <= 4
     with monkeypatch.context() as patched:
         patched.setattr(bspline, "_MANY", len(t))

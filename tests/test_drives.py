@@ -226,25 +226,35 @@ def test_tables_sweeps_and_pages_have_the_quantities_of_the_motors_with_units(tm
         assert opened.run('document.querySelector(".status").textContent') == "All limits are kept."
 
 
-@pytest.mark.parametrize("export", [sc.export_fmu, sc.export_plant])
-def test_both_kinds_of_fmus_have_them_as_outputs(tmp_path: Path, export: Callable[..., Path]) -> None:
+both_kinds = pytest.mark.parametrize("export", [sc.export_fmu, sc.export_plant])
+
+
+@both_kinds
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_both_kinds_of_fmus_have_them_as_outputs(tmp_path: Path, export: Callable[..., Path], fmi: int) -> None:
+    units_of = OF_WINCH | OF_RUN
+    file = export(driven_crane(), tmp_path / "a.fmu", fmi=fmi, targets="none")
+    known = {each.name: each for each in fmpy.read_model_description(file).modelVariables}
+    assert units_of == {name: known[name].unit or known[name].declaredType.unit for name in units_of}
+    assert {known[name].causality for name in units_of} == {"output"}
+    assert known["M_w.motor_inertia"].causality == "parameter"
+    jets = 10 if fmi == 2 else 5  # arrays of two
+    assert [each.causality for each in known.values()].count("input") == (jets if export is sc.export_fmu else 2)
+
+
+@both_kinds
+def test_outputs_of_both_kinds_of_fmus_are_those_of_solve(tmp_path: Path, export: Callable[..., Path]) -> None:
     units_of, inverse = OF_WINCH | OF_RUN, export is sc.export_fmu
     scene = driven_crane().with_limits(**{"M_w.energy": "5 kJ"})
-    for fmi in (2, 3):
-        file = export(scene, tmp_path / f"{fmi}.fmu", fmi=fmi, targets="host")
-        known = {each.name: each for each in fmpy.read_model_description(file).modelVariables}
-        assert units_of == {name: known[name].unit or known[name].declaredType.unit for name in units_of}
-        assert {known[name].causality for name in units_of} == {"output"}
-        assert known["M_w.motor_inertia"].causality == "parameter"
+    file = export(scene, tmp_path / "2.fmu", fmi=2, targets="host")
     found = sc.solve(driven_crane(), step=0.005)
     jet = scene.reference.jet(found.t, 4).reshape(len(found.t), -1).T
     names = [f"load.{order}[{k}]" for order in ORDERS[:5] for k in (1, 2)] if inverse else ["F", "M_w"]
     columns = jet if inverse else [found["F"], found["M_w"]]
-    assert [each.causality for each in known.values()].count("input") == (5 if inverse else 2)
     table = np.rec.fromarrays([found.t, *columns], dtype=[(name, float) for name in ("time", *names)])
     said = list[str]()
     simulated = partial(
-        fmpy.simulate_fmu, str(tmp_path / "2.fmu"), stop_time=3.0, output_interval=0.005, input=table,
+        fmpy.simulate_fmu, str(file), stop_time=3.0, output_interval=0.005, input=table,
         output=[*units_of], logger=lambda *each: said.append(each[-1].decode()), debug_logging=True,
     )  # fmt: skip
     run = simulated(start_values={"input_time": 2})
@@ -305,14 +315,18 @@ def test_the_file_of_a_data_sheet_gives_the_drives_and_the_command_their_duty() 
     assert f"{100 * (1 - effective / 5):.0f} %" in result.stdout
 
 
-def test_data_of_drives_are_identified_and_read_as_other_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_that_excite_data_of_drives_keep_limits_of_motors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("servocore.identification.excitation._TRIALS", 0)
+    crane = sc.scenes.overhead_crane().with_drives(**DRIVES)
+    _, report = sc.excitation(crane, "F.motor_inertia", {"F": 1000.0, "M_w.energy": "9 kJ"}, duration=8.0)
+    assert report.limits.violation == 0.0
+
+
+def test_data_of_drives_are_identified_and_read_as_other_parameters() -> None:
     crane = sc.scenes.overhead_crane().with_drives(**DRIVES)
     log = sc.measured(crane, plant=crane.with_parameters(**{"F.motor_inertia": 5e-4}), seed=1)
     found = sc.identify(crane, log, "F.motor_inertia")
     assert found.values["F.motor_inertia"] == pytest.approx(5e-4, rel=0.02)
-    _, report = sc.excitation(crane, "F.motor_inertia", {"F": 1000.0, "M_w.energy": "9 kJ"}, duration=8.0)
-    assert report.limits.violation == 0.0
     write("drives.toml", SHEET)
     write("identified.toml", found.parameter_file())
     assert not line("drives", "overhead_crane", "--drives", "drives.toml", "--parameters", "identified.toml").exit_code

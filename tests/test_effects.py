@@ -213,14 +213,14 @@ def test_simulated_errors_of_the_rotary_crane_are_those_of_an_independent_study(
         assert found[name].error == pytest.approx(1e-3 * error, rel=0.05), name
 
 
-def test_estimates_that_are_shown_are_near_what_simulations_show() -> None:
+@pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane"])
+def test_estimates_that_are_shown_are_near_what_simulations_show(name: str) -> None:
     # Nothing is near a tolerance as small as this one: estimates are shown but where plants answer otherwise.
-    for name in ("rotary_crane", "overhead_crane"):
-        estimated, simulated = report(name, tolerance=1e-9), report(name, simulate=True)
-        shown = [each for each in estimated.rows if each.how == "estimated"]
-        assert len(shown) >= 8
-        for row in shown:
-            assert row.error == row.estimate == pytest.approx(simulated[row.name].error, rel=0.12), (name, row.name)
+    estimated, simulated = report(name, tolerance=1e-9), report(name, simulate=True)
+    shown = [each for each in estimated.rows if each.how == "estimated"]
+    assert len(shown) >= 8
+    for row in shown:
+        assert row.error == row.estimate == pytest.approx(simulated[row.name].error, rel=0.12), row.name
 
 
 def test_a_plant_that_answers_otherwise_than_the_small_model_is_simulated() -> None:

@@ -209,7 +209,7 @@ def test_what_an_fmu_cannot_say_or_keep_is_refused(make: Callable[[], sc.Scene],
 
 @pytest.mark.usefixtures("compiler")
 def test_a_rate_that_is_none_at_rest_breaks_no_limit() -> None:
-    swinging = sc.scenes.rotary_crane().with_limits(**{"swing.rate": 0.5})  # of the length of a vector, which is zero
+    swinging = sc.scenes.gantry_crane().with_limits(**{"swing.rate": 0.5})  # of the length of a vector, which is zero
     sc.export_fmu(swinging, "crane.fmu", targets="host")
     assert len(simulate_fmu("crane.fmu", stop_time=0.3, output_interval=0.1)) == 4
 

@@ -75,9 +75,12 @@ def test_logs_may_begin_in_motion_and_have_gaps(gap: bool) -> None:
     assert np.abs(z_scores(sc.identify(CRANE, missing if gap else kept, NAMES), REAL)).max() < 5.0
 
 
-def test_several_coarse_logs_are_one_fit_with_delays_of_their_own() -> None:
+@pytest.mark.parametrize(
+    ("path", "step"), [(LIVELY, 0.005), (sc.through([[0.0, -4.0], [3.0, -2.5], [1.0, -5.0]], duration=6.0), 0.01)]
+)
+def test_several_coarse_logs_are_one_fit_with_delays_of_their_own(path: sc.Reference, step: float) -> None:
     coarse = [
-        sc.measured(CRANE.with_reference(LIVELY), plant=REAL, seed=k, step=0.005, resolution=2e-4, delay=0.004 * k,
+        sc.measured(CRANE.with_reference(path), plant=REAL, seed=k, step=step, resolution=2e-4, delay=0.004 * k,
                     outliers=0.01, missing=0.03)
         for k in (1, 2)
     ]  # fmt: skip

@@ -354,23 +354,45 @@ def test_a_wrong_option_is_refused_with_what_there_is(options: Any, sentence: st
         sc.scenes.from_file(ARM, **options)
 
 
-@pytest.mark.usefixtures("empty_folder")
-def test_commands_take_files_and_settings() -> None:
+@pytest.fixture
+def words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A file and settings for it, as commands take them."""
+    monkeypatch.chdir(tmp_path)
     Path("arm.toml").write_text(
         'locked = ["left"]\n[payload]\ntool = 2.0\n[elastic]\nturn = 1e3\nelbow = { stiffness = 2e3 }\n'
     )
-    words = [str(ARM), "--import", "arm.toml", "--motor-inertia", "0.3"]
+    return [str(ARM), "--import", "arm.toml", "--motor-inertia", "0.3"]
+
+
+def test_import_shows_what_a_file_and_settings_make(words: list[str]) -> None:
     shown = servocore("import", *words)
     listed = "elastic hinge,locked slide,mimics left,turn.torque (N.m),0 is taken for none,right: it follows left"
     assert all(each in shown.stdout for each in listed.split(","))
+
+
+@pytest.mark.parametrize("elastic", [True, False])
+def test_commands_take_files_and_settings(words: list[str], elastic: bool) -> None:
+    if not elastic:
+        text, words = Path("arm.toml").read_text(), words[:3]
+        Path("arm.toml").write_text(text.partition("[elastic]")[0])
     assert servocore("feedforward", *words, "-o", "inputs.csv").exit_code == 0
     assert Path("inputs.csv").read_text().startswith("time,turn.torque,elbow.torque,extend.force,turn,elbow,extend\n")
+
+
+@pytest.mark.usefixtures("empty_folder")
+def test_lines_of_the_page_on_robots_run() -> None:
     page = (OWN.parents[1] / "docs" / "howto" / "import-robots.md").read_text()
     Path("settings.toml").write_text(page.split("```toml\n")[1].split("```")[0])
     for line in re.findall(r"^\$ servocore (import [^#\n]*)", page, re.MULTILINE):
         assert servocore(*line.replace("ur5.urdf", str(UR5)).split()).exit_code == 0
+
+
+def test_sweeps_take_files_and_settings(words: list[str]) -> None:
     swept = ["--vary", "duration=2..3:2", "--vary", "turn.stiffness=1e3..2e3:2", "-o", "cases"]
     assert "4 cases, 0 of them not solved" in servocore("sweep", *words, *swept).stdout  # rates have margins too
+
+
+def test_commands_refuse_settings_that_a_file_cannot_have() -> None:
     for wrong, sentence in (
         (["rotary_crane", "--elastic", "1e4"], "is no URDF, MJCF or SDF file: elastic cannot"),
         ([str(ARM), "--elastic", "0"], "is no stiffness"),

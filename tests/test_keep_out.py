@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -13,9 +13,10 @@ import pytest
 from test_planning import COARSE, CRANE, FREE, LEVEL, OVERHEAD
 
 import servocore as sc
-from servocore.model.symbols import Parameters
 from servocore.numerics.compiled_calls import Array
+from servocore.planning.integrator_chains import Law
 from servocore.planning.obstacles import least_distance, segment_distance
+from servocore.planning.transcription import SOLVED, Outcome, Task
 
 DRIVES: Mapping[str, Any] = {
     "M_b": 1000,
@@ -52,7 +53,10 @@ def passes_a_box(begin: Array, end: Array, box: sc.Box) -> bool:
     return bool((np.maximum(enters, 0.0) < np.minimum(leaves, 1.0)).any())
 
 
-def test_a_plan_passes_a_sphere_that_is_thinner_than_the_distance_of_points_on_a_rope() -> None:
+def test_a_plan_passes_a_sphere_that_is_thinner_than_the_distance_of_points_on_a_rope(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("servocore.planning.fastest._on_the_line", lambda *_: (np.inf, np.inf))  # for comparison only
     sphere = sc.Sphere((2.5, -3.0), 0.1)
     path, report = sc.fastest(OVERHEAD, LEVEL, FREE, free=sc.Space((sphere,)), intervals=COARSE)
     assert not passes_a_sphere(*rope(path), sphere)
@@ -72,11 +76,14 @@ def test_a_plan_passes_a_thin_plate_above_it() -> None:
 
 
 def test_a_way_through_a_body_is_never_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(_: sc.Space, gamma: ca.SX, parameters: Parameters) -> ca.SX:
-        del gamma, parameters
-        return ca.SX(0, 1)
+    """Whatever the search finds: here the law along the line from which it begins."""
 
-    monkeypatch.setattr(sc.Space, "rows", nothing)
+    def begun(_: Task, starts: Sequence[tuple[str, Law]], *more: object) -> tuple[Outcome, float, str]:
+        del more
+        return Outcome(starts[0][1], SOLVED, 0), np.nan, starts[0][0]
+
+    monkeypatch.setattr("servocore.planning.fastest.planned", begun)
+    monkeypatch.setattr("servocore.planning.tasks._HOPS", ())  # beside the line
     space = sc.Space((sc.Sphere((2.5, -2.0), 0.001),))
     with pytest.raises(sc.PlanningFailed, match="load, rope do not keep clear of the bodies"):
         sc.fastest(OVERHEAD, LEVEL, FREE, free=space, intervals=COARSE)

@@ -375,9 +375,16 @@ def test_the_longest_unused_go_when_there_is_no_room(own_cache: CodeCache, monke
 
 @pytest.mark.usefixtures("compiler")
 def test_processes_that_build_the_same_do_not_meet(own_cache: code_cache.CodeCache) -> None:
-    code = f"from servocore.numerics.machine_code import Build, built\nprint(built(Build({SOURCE!r}, 'an answer')))"
-    running = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    found = {each.communicate(timeout=600)[0].strip() for each in running}
+    code = (
+        "from servocore.numerics.machine_code import Build, built\nprint('ready', flush=True)\ninput()\n"
+        f"print(built(Build({SOURCE!r}, 'an answer')))"
+    )
+    command, pipe = [sys.executable, "-c", code], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as other:
+        assert present(other.stdout).readline() == "ready\n"
+        present(other.stdin).write("\n")
+        present(other.stdin).flush()  # from here on both build
+        found = {str(built(Build(SOURCE, "an answer"))), other.communicate(timeout=600)[0].strip()}
     assert [str(each) for each in own_cache.contents()] == sorted(found)
     assert not list(own_cache.folder.glob("*.part"))
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from outside.systems import elbow_arm
 from problems import car_chain, changed
+from test_planning import fastest_alone
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -24,8 +25,10 @@ def exact(path: sc.Reference) -> Mapping[str, Array]:
     return replace(ARM, scene=ARM.scene.with_reference(path), order=2).exact(np.linspace(0.0, path.duration, 4001))
 
 
-def test_torques_of_an_arm_keep_their_limits_by_its_closed_form() -> None:
-    path, report = sc.fastest(ARM.scene, WAY, TORQUES, intervals=20)
+@pytest.mark.parametrize("compared", [True, False])
+def test_torques_of_an_arm_keep_their_limits_by_its_closed_form(compared: bool) -> None:
+    plan = sc.fastest if compared else fastest_alone
+    path, report = plan(ARM.scene, WAY, TORQUES, intervals=20 if compared else 10)
     peaks = {name: np.abs(exact(path)[name]).max() for name in TORQUES}
     assert all(peaks[name] <= bound for name, bound in TORQUES.items())
     assert max(peaks[name] / bound for name, bound in TORQUES.items()) > 0.99
@@ -35,7 +38,7 @@ def test_torques_of_an_arm_keep_their_limits_by_its_closed_form() -> None:
 
 def test_a_rate_of_what_stands_last_in_the_equations_is_limited() -> None:
     limits = {"T_1": 9.0, "T_1.rate": 2.0, "T_2": 9.0}
-    path, _ = sc.fastest(ARM.scene, WAY, limits, intervals=10, smooth=1)
+    path, _ = fastest_alone(ARM.scene, WAY, limits, intervals=10, smooth=1)
     steepest = np.abs(np.diff(exact(path)["T_1"]) / (path.duration / 4000)).max()
     assert 1.9 < steepest <= 2.0
 
@@ -45,22 +48,25 @@ def test_a_place_out_of_reach_is_named() -> None:
         sc.fastest(ARM.scene, [(1.2, 0.6), (2.4, 0.6)], TORQUES)
 
 
-def hardening_chain() -> sc.MechanicalSystem:
-    """Three masses on springs that grow stiffer, driven at one end and tracked at the other: index 7."""
-    cars = car_chain([1.0] * 3, [400.0] * 2, [0.0] * 2)
-    potential = sum(
-        200.0 * (cars.q[k] - cars.q[k + 1]) ** 2 + 1000.0 * (cars.q[k] - cars.q[k + 1]) ** 4 for k in (0, 1)
-    )
+def hardening_chain(masses: int = 3) -> sc.MechanicalSystem:
+    """Masses on springs that grow stiffer, driven at one end and tracked at the other: three are of index 7."""
+    springs = masses - 1
+    cars = car_chain([1.0] * masses, [400.0] * springs, [0.0] * springs)
+    stretched = [cars.q[k] - cars.q[k + 1] for k in range(springs)]
+    potential = sum(200.0 * each**2 + 1000.0 * each**4 for each in stretched)
     return changed(cars, name="hardening chain", potential=potential)
 
 
-def test_a_chain_of_index_seven_is_planned_without_a_formula() -> None:
-    scene = sc.Scene("chain", {"only": hardening_chain}, sc.rest_to_rest((0.0,), (1.0,), 3.0, sc.DEGREE13))
-    path, report = sc.fastest(scene, [(0.0,), (1.0,)], {"F": 20.0}, intervals=10)
+@pytest.mark.parametrize(("masses", "compared"), [(3, True), (2, False)])
+def test_a_chain_of_high_index_is_planned_without_a_formula(masses: int, compared: bool) -> None:
+    plan = sc.fastest if compared else fastest_alone
+    model = partial(hardening_chain, masses)
+    scene = sc.Scene("chain", {"only": model}, sc.rest_to_rest((0.0,), (1.0,), 3.0, sc.DEGREE13))
+    path, report = plan(scene, [(0.0,), (1.0,)], {"F": 20.0}, intervals=10)
     peak = np.abs(sc.ExactInversion(scene.with_reference(path))(np.linspace(0.0, path.duration, 2001))).max()
-    assert path.smoothness == 6
+    assert path.smoothness == 2 * masses
     assert 0.97 * 20.0 < peak <= 20.0
-    assert report.duration >= 2.0 * np.sqrt(3.0 / 20.0)  # momentum
+    assert report.duration >= 2.0 * np.sqrt(masses / 20.0)  # momentum
     assert report.duration < report.degree9
 
 

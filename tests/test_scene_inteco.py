@@ -43,7 +43,11 @@ def test_a_path_that_needs_more_than_full_duty_is_refused() -> None:
         sc.solve(CRANE.with_reference(sc.rest_to_rest((0.1, 0.1, -0.6), (0.4, 0.5, -0.35), 1.0)))
 
 
-def test_feedforward_with_loops_leaves_a_hundredth_of_the_sway_of_a_ramp() -> None:
+@pytest.mark.parametrize("after", [5.0, 0.6])
+def test_feedforward_with_loops_leaves_a_hundredth_of_the_sway_of_a_ramp(
+    after: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("benchmarks.inteco.AFTER", after)
     drive = laws(CRANE)
     ramp, both = (driven(real(CRANE), drive[name]) for name in ("ramp of positions, loops", "feedforward, loops"))
     assert both.sway < 0.01 * ramp.sway

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import shlex
 import sys
 from pathlib import Path
@@ -151,8 +152,14 @@ def test_the_examples_of_the_help_have_options_and_names_that_there_are(line: st
         ),
     ],
 )
-def test_a_module_runs_as_its_command(line: str, said: str) -> None:
-    found = python("-m", *line.split(), folder=ROOT)
-    assert found.returncode == 2
-    assert found.stderr.startswith(said)
-    assert found.stdout == ""
+def test_a_module_runs_as_its_command(
+    line: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module, *words = line.split()
+    monkeypatch.setattr(sys, "argv", ["__main__.py", *words])
+    with pytest.raises(SystemExit) as caught:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    printed = capsys.readouterr()
+    assert caught.value.code == 2
+    assert printed.err.startswith(said)
+    assert printed.out == ""

@@ -110,26 +110,21 @@ def test_a_guid_in_braces_is_the_same() -> None:
 
 
 def test_null_pointers_and_states_given_back_twice_are_harmless() -> None:
-    code = (
-        "import ctypes, sys\nfrom pathlib import Path\nfrom fmu_host import Host\n"
-        "with Host(Path(sys.argv[1])) as host:\n"
-        "    host.start()\n"
-        "    dll, c = host.fmu.dll, ctypes.c_void_p(host.fmu.component)\n"
-        "    state = ctypes.c_void_p()\n"
-        "    free, get = dll['fmi2FreeFMUstate'], dll['fmi2GetFMUstate']\n"
-        "    assert free(c, ctypes.byref(state)) == 0\n"
-        "    assert dll['fmi2SetFMUstate'](c, None) == 3\n"
-        "    for _ in range(3):\n"
-        "        assert get(c, ctypes.byref(state)) == 0\n"
-        "    assert free(c, ctypes.byref(state)) == 0 and state.value is None\n"
-        "    assert free(c, ctypes.byref(state)) == 0\n"
-        "    assert dll['fmi2SerializedFMUstateSize'](c, state, ctypes.byref(ctypes.c_size_t())) == 3\n"
-        "    assert dll['fmi2DoStep'](None, ctypes.c_double(0), ctypes.c_double(0.1), 0) == 3\n"
-        "    assert host.step(0.0, 0.1)\n"
-        "print('alive')"
-    )
-    done = in_a_process(code, fmu_file())
-    assert done.stdout.strip() == "alive", done.stderr
+    with Host(fmu_file()) as host:
+        host.start()
+        dll, c = host.fmu.dll, ctypes.c_void_p(host.fmu.component)
+        state = ctypes.c_void_p()
+        free, get = dll["fmi2FreeFMUstate"], dll["fmi2GetFMUstate"]
+        assert free(c, ctypes.byref(state)) == 0
+        assert dll["fmi2SetFMUstate"](c, None) == 3
+        for _ in range(3):
+            assert get(c, ctypes.byref(state)) == 0
+        assert free(c, ctypes.byref(state)) == 0
+        assert state.value is None
+        assert free(c, ctypes.byref(state)) == 0
+        assert dll["fmi2SerializedFMUstateSize"](c, state, ctypes.byref(ctypes.c_size_t())) == 3
+        assert dll["fmi2DoStep"](None, ctypes.c_double(0), ctypes.c_double(0.1), 0) == 3
+        assert host.step(0.0, 0.1)
 
 
 def test_only_co_simulation_is_offered() -> None:

@@ -41,7 +41,9 @@ def test_the_branch_ends_where_it_ends_and_not_where_the_guess_is_far(beyond: fl
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-2, 1e-5])
-def test_how_far_the_reach_is_missed_is_told_at_every_size(scale: float) -> None:
+def test_how_far_the_reach_is_missed_is_told_at_every_size(scale: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("servocore.checks.failure_causes._INSTANTS", 5)  # one of them is t = 1 s
+    monkeypatch.setattr("servocore.checks.failure_causes.BISECTIONS", 4)  # from when on is of no interest here
     with pytest.raises(sc.InvalidReference, match="out of reach") as caught:
         sc.solve(out_and_back(REACH + 0.2, scale))
     missed = str(caught.value).partition("misses X = ")[2].split(" by ")[1].split()[0]
