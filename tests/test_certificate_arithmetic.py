@@ -145,7 +145,7 @@ def test_signs_of_determinants_of_all_matrices_of_a_ball_are_right_or_not_known(
     C[0] = C[1:].sum(axis=0) + size * C[0]  # nearly singular
     R = rng.choice([0.0, 0.1, 10.0], 200) * size * rng.uniform(size=C.shape)
     ctx.prec = 400
-    signs = block_signs(equations, np.stack([C, R]).reshape(2, n * n, 200))[0]  # type: ignore[arg-type]
+    signs = block_signs(equations, np.stack([C, R]).reshape(2, n * n, 200))[0]  # type: ignore[arg-type]  # what it reads
     for sign, matrix in zip(signs, (C + R * rng.choice([-1.0, 1.0], C.shape)).transpose(2, 0, 1), strict=True):
         assert not arb_mat(matrix.tolist()).det() * arb(sign) < 0
     assert 0.1 < np.abs(signs).mean() < 1.0
