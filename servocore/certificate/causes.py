@@ -76,10 +76,11 @@ def _singular(proof: Proof, solution: Solution | None) -> Statement | None:
     At each instant the one regular motion near the solution is proved: its ball and the coordinates and inputs of the
     solution are where that is the only one. Along a continuous motion the determinant of a block changes its sign only
     where the block is singular. Nothing follows where equations switch, or across joints of a path that is too rough.
+    A scene that follows its branch may pass singular configurations: it is not refuted by them.
     """
     problem, ring = proof.problem, arithmetic((0,))
     path, array = problem.reference, problem.array
-    if solution is None or proof.boxed or not problem.flat:
+    if solution is None or proof.boxed or problem.follow_branch or not problem.flat:
         return None
     t, x, equations = solution.t, unknowns_near(problem, solution, solution.t), equations_of(problem.resolved, False)
     peaks = np.fmax(np.fmax.reduce(np.abs(x), axis=1), smallest_peaks(problem, array.unknowns))[:, None]
