@@ -28,7 +28,7 @@ A_MOMENT = 0.25
 """Processor seconds of a case that `--quick` runs whatever has changed."""
 A_SHORT_CASE = 0.03
 """Processor seconds of a case that is not listed as slow, about."""
-BESIDES = 6.0
+BESIDES = 4.0
 """Processor seconds of the cases that `--quick` adds for the modules that have changed."""
 LONG_FIXTURES = {"client", "smoke"}
 """Of a module each, and seconds long: `--quick` leaves out what uses them."""
