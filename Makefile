@@ -26,7 +26,7 @@ demo: $(INSTALLED)  ## build the FMU, run it and write report, pictures and tabl
 test: $(INSTALLED)  ## run the test suite (some seven minutes)
 	$(RUN) $(PYTEST)
 
-quick: $(INSTALLED)  ## run a short case of most tests, and more for the modules that have changed (under a minute)
+quick: $(INSTALLED)  ## run a short case of most tests, and more for the modules that have changed (about a minute)
 	$(RUN) $(PYTEST) --quick -q
 
 versions: $(NEWEST)/.installed $(LOWEST)/.installed  ## run the tests on Python 3.13 with the newest releases, on 3.11 with the lowest allowed
