@@ -38,6 +38,7 @@ Places = npt.NDArray[np.int64]
 _MOST_HALVINGS = 8
 _MOST_STEPS = 100_000  # of the horizon
 _MOST_ITERATIONS = 30
+_OTHERWISE = "Reduced() with a method computes the motion that starts at rest"
 
 
 @dataclass(frozen=True)
@@ -165,8 +166,7 @@ def _pose(problem: Problem, route: StableInversion) -> _Bounded:
     periodic = moves and np.abs(scaled[1] - scaled[0]).max() <= ROUND_OFF * (np.abs(scaled[0]).max() + 1.0)
     if problem.system.time.numel() and not periodic:
         raise InvalidModel(
-            f"a stable inversion begins and ends at rest, but the equations of {name} depend on time; Reduced() with a"
-            " a method computes the motion that starts at rest"
+            f"a stable inversion begins and ends at rest, but the equations of {name} depend on time; {_OTHERWISE}"
         )
     slow = ROUND_OFF * (float(np.abs(ends[:, 0]).max()) + 1.0) / reference.duration
     for time, jet in zip((reference.start_time, reference.end_time), ends, strict=True):
@@ -201,8 +201,7 @@ def _horizon(bounded: _Bounded, route: StableInversion, step: float) -> Array:
     if before + inside + after > _MOST_STEPS:
         rate, name = np.abs([*growing, *decaying]).min(), bounded.problem.system.name
         raise IntegrationFailed(
-            f"{name}: a mode of {rate:.2g}/s takes {before + after:.2g} steps beside the path to decay; Reduced() with"
-            " a method computes the motion that starts at rest"
+            f"{name}: a mode of {rate:.2g}/s takes {before + after:.2g} steps beside the path to decay; {_OTHERWISE}"
         )
     grid: Array = reference.start_time + step * np.arange(-before, inside + after + 1.0)
     return grid
