@@ -119,10 +119,9 @@ class Equations:
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
         held = [k for k, each in enumerate(array.determined) if each in resolved.array.unknowns]
         self.free = ~self.curved | ~np.isin(np.arange(x.numel()), held)
-        size, blocks = x.numel(), triangular_blocks(J.sparsity())[::-1]
-        all_of_them = np.arange(size)
-        one = Part(all_of_them, all_of_them, np.arange(J.nnz()), places_of(J.sparsity()))
-        self.blocks = (one,) if whole else blocks
+        size, every_one = x.numel(), np.arange(x.numel())
+        one = Part(every_one, every_one, np.arange(J.nnz()), places_of(J.sparsity()))
+        self.blocks = (one,) if whole else triangular_blocks(J.sparsity())[::-1]
         self.sizes = np.array([len(each.rows) ** 2 for each in self.blocks])
         self.block, begins = np.zeros(size, dtype=int), (np.cumsum(self.sizes) - self.sizes).tolist()
         Y, entries, r = (ca.SX.sym(name, n) for name, n in (("Y", self.sizes.sum()), ("J", J.nnz()), ("r", size)))

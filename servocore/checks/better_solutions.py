@@ -13,6 +13,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -57,7 +58,7 @@ class Comparison:
     basis: str
     coarser: Array
 
-    @property
+    @cached_property
     def distances(self) -> tuple[Array, Array]:
         """Distances of the inputs of the run and of the coarser ones from the better ones, each (N, inputs)."""
         better = self.better[:, : self.coarser.shape[1]]

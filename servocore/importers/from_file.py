@@ -158,10 +158,9 @@ def scene_of(tree: Tree, options: Options, reference: Reference | None = None) -
     opposed = ca.gradient(system.potential, system.q), system.force, ca.jacobian(system.constraints, system.q).T
     acting, row = ca.sparsify(ca.horzcat(system.mass, *opposed)), assembly.coordinates.index
     if idle := [each.joint for each in assembly.inputs if each.joint and not acting[row(each.joint), :].nnz()]:
-        said = (
-            f"{tree.source}: {', '.join(idle)} moves no mass, its drive does nothing: give masses or an armature to the"
-        )
-        warnings.warn(f"{said} file, or a payload, or hold it by locked", ServocoreWarning, stacklevel=3)
+        found = f"{tree.source}: {', '.join(idle)} moves no mass, its drive does nothing"
+        cure = "give masses or an armature to the file, or a payload, or hold it by locked"
+        warnings.warn(f"{found}: {cure}", ServocoreWarning, stacklevel=3)
     if reference is None:
         bounds = {limit.quantity: (limit.bound, limit.upper) for limit in limits}
         target = list[float]()

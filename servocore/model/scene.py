@@ -330,12 +330,12 @@ class Scene:
         >>> sc.solve(crane, step=0.1).margins["F"].slack > 0
         True
         """
-        model, own = self.model(), {each.reported + RATE * each.rate for each in self.limits}
+        model, names = self.model(), [each.reported + RATE * each.rate for each in self.limits]
         for name in bounds:
-            if name not in own:  # one that is removed may be of a model that the scene has no more
+            if name not in names:  # one that is removed may be of a model that the scene has no more
                 quantity_named(model, name)
         new_limits = tuple(limit_named(model, name, bound) for name, bound in bounds.items() if bound is not None)
-        kept = (e for e in self.limits if not e.reported or e.reported + RATE * e.rate not in bounds)
+        kept = (each for each, name in zip(self.limits, names, strict=True) if not each.reported or name not in bounds)
         return replace(self, limits=(*kept, *new_limits))
 
     def parameter_values(self) -> dict[str, float]:
