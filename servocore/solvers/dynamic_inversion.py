@@ -6,38 +6,28 @@ Of many cases, too, with other parameters and other paths, for `Batch`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import (
-    InconsistentStart,
-    IntegrationFailed,
-    InvalidModel,
-    InvalidReference,
-)
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.reduced import Reduced
-from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.stepped_runs import Instants
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
 from servocore.solution import Solution
 from servocore.solvers.route import require_inside, require_stable, require_tolerance
-from servocore.solvers.runs import first_state
 from servocore.solvers.solve import solve
 from servocore.stepping.explicit_steps import ExplicitSteps, compile_explicit_steps
-from servocore.stepping.program import program_of
+from servocore.stepping.prescribed_initial_values import start_unknowns
 
 _FEWEST, _GROWTH, _MOST = 6, 1.25, 20_000  # steps that are tried
 _ASTRAY = 1e-3  # of the peak of an input: so much beside the checked solution is another motion
 _COMPARED = 51  # instants at which a case is compared with twice as many steps
 _MOST_DOUBLINGS = 6  # of the steps that the scene itself takes
-_FORM = Reduced(), BackwardEuler()
 
 Cases = npt.NDArray[np.intp]
 
@@ -217,21 +207,10 @@ class DynamicInversion:
 
     def _starts(self, paths: list[Reference], p: Array) -> Array:
         """Return the first states of the internal dynamics, (cases, states), NaN where none are found."""
-        problem, size = self._problem, len(self._problem.array.states)
-        program = program_of(problem, *_FORM)
-        if problem.start:
-            starts = np.full((len(p), size), np.nan)
-            for case, values in enumerate(p):
-                case_problem = replace(problem, p=values, reference=paths[min(case, len(paths) - 1)])
-                with suppress(InconsistentStart):
-                    starts[case] = first_state(case_problem, program, 0.0)[0][:size]
-            return starts
-        instants = len(program.start_instants)
-        jets = np.concatenate([path.jet(np.full(instants, path.start_time), program.start_order) for path in paths])
-        jets = np.tile(jets, (len(p) // len(paths), 1, 1))
-        states, _, residual = mapped(program.start, len(p))(side_by_side(jets), np.zeros(len(p)), p.T)
-        starts = states.reshape(-1, len(p), order="F")[:size].T
-        return np.where(np.isfinite(residual).reshape(-1, 1), starts, np.nan)
+        problem, order = self._problem, self._problem.array.reference_order
+        jets = np.stack([path.jet(path.start_time, order) for path in paths])
+        found = start_unknowns(problem, np.tile(jets, (len(p) // len(paths), 1, 1)), p)[0]
+        return np.ascontiguousarray(found[problem.array.places(problem.array.states)].T)
 
     def _judged(
         self, steps: ExplicitSteps, paths: list[Reference], count: int, p: Array, start: Array, instants: Instants

@@ -12,7 +12,7 @@ import numpy as np
 
 from servocore.errors import InconsistentStart, InvalidModel, InvalidSetting, require_kind, require_real
 from servocore.formulations.reduced import Reduced
-from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, call_of, mapped, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
@@ -46,20 +46,49 @@ def prescribed_start(problem: Problem, restart: ca.Function, gamma: Array, step:
     InconsistentStart
         If the equations have no solution with these values.
     """
-    states = _states(problem.array, problem.start, problem.system.name)
-    named = tuple((problem.array.names[j], degree) for j, degree in states)
-    search, guess = _search(problem.resolved, named)
-    now = gamma[0, : problem.array.reference_order + 1].T
-    values = guess(now, problem.p)[0]
-    # With these as states the array determines all other unknowns.
-    values[problem.array.places(states)] = list(problem.start.values())
-    unknowns, _, residual = search(now, problem.p, values)
+    unknowns, residual = (each[:, 0] for each in start_unknowns(problem, gamma[:1], problem.p[None]))
     if not np.isfinite(unknowns).all():
         time = problem.reference.start_time
         raise InconsistentStart(
             f"{problem.system.name}: no consistent initial values at t = {time:.6g} s with {_listed(problem.start)}"
         )
-    return call_of(restart)(unknowns, side_by_side(gamma), step, problem.p)[0], float(residual.ravel()[0])
+    return call_of(restart)(unknowns, side_by_side(gamma), step, problem.p)[0], float(residual[0])
+
+
+def start_unknowns(problem: Problem, gamma: Array, p: Array) -> tuple[Array, Array]:
+    """Return the unknowns of the derivative array where cases of a problem start, and residuals of their equations.
+
+    Internal states are those of the start of the problem, or the guess of the model.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the equations and the start of all cases.
+    gamma : ndarray, shape (N, orders, m)
+        Reference jets at the start, of the order of the derivative array or more.
+    p : ndarray, shape (N, parameters)
+        Parameters of the cases.
+
+    Returns
+    -------
+    tuple of ndarray, shapes (size, N) and (1, N)
+        All unknowns of a case are NaN where some are not found.
+
+    Raises
+    ------
+    InvalidSetting
+        If the start does not name the states of the internal dynamics.
+    """
+    array, count = problem.array, len(gamma)
+    states = _states(array, problem.start, problem.system.name) if problem.start else []
+    # With these as states the array determines all other unknowns.
+    guess, search = _inversion(problem.resolved, tuple((array.names[j], order) for j, order in states))
+    given = side_by_side(gamma[:, : array.reference_order + 1]), p.T
+    values = mapped(guess, count)(*given)[0].reshape(-1, count, order="F")
+    values[array.places(states)] = np.reshape([*problem.start.values()], (-1, 1))
+    unknowns, _, residual = mapped(search, count)(*given, values)
+    unknowns, residual = unknowns.reshape(-1, count, order="F"), residual.reshape(1, -1)
+    return np.where(np.isfinite(unknowns).all(axis=0) & np.isfinite(residual), unknowns, np.nan), residual
 
 
 def require_start(problem: Problem) -> None:
@@ -67,7 +96,7 @@ def require_start(problem: Problem) -> None:
     array, name = problem.array, problem.system.name
     states = _states(array, problem.start, name)
     try:
-        _search(problem.resolved, tuple((array.names[j], order) for j, order in states))
+        _inversion(problem.resolved, tuple((array.names[j], order) for j, order in states))
     except InvalidModel as error:
         names = ", ".join(_plain(*state) for state in array.named_states)
         raise InvalidSetting(
@@ -76,10 +105,16 @@ def require_start(problem: Problem) -> None:
 
 
 @made_once
-def _search(resolved: ResolvedSystem, states: tuple[tuple[str, int], ...]) -> tuple[Call, Call]:
-    """Compile Newton's method with these unknowns given, and the guess."""
+def _inversion(resolved: ResolvedSystem, states: tuple[tuple[str, int], ...]) -> tuple[ca.Function, ca.Function]:
+    """Compile the guess of the unknowns, and Newton's method with these states given; the usual ones if there are none.
+
+    Raises
+    ------
+    InvalidModel
+        If the equations do not determine all other unknowns.
+    """
     inverse = inversion(Reduced(states=states).array(resolved.system))
-    return Call(inverse.search), Call(inverse.guess)
+    return inverse.guess, inverse.search
 
 
 def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, int]]:
