@@ -119,6 +119,10 @@ class Pointwise(JudgedRoute):
         return Run(program, times, states, int(iterations), int(factorizations), worst, tuple(looked))
 
 
+EXACT = BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
+"""What solutions of flat problems are compared with."""
+
+
 @made_once
 def _looking(resolved: ResolvedSystem, program: Program) -> ca.Function:
     """Compile (unknowns, gamma, p) -> observed values, violations, and what `determinants` returns."""
@@ -136,9 +140,8 @@ def _perturbed(problem: Problem, times: Array) -> Solution:
     motion, array = Pointwise(Reduced()).run(problem, times).motion, problem.array
     states = motion.states[:, np.isin(motion.t, times)]
     aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
-    inputs = problem.system.inputs
-    places = [array.position(f"u.{quantity.name}", 0) for quantity in inputs]
-    return Solution(times, inputs, unknowns_from(problem, times, aside)[places].T, "the exact inversion, solved again")
+    found = unknowns_from(problem, times, aside)[array.inputs].T
+    return Solution(times, problem.system.inputs, found, "the exact inversion, solved again")
 
 
 def prepared_motion(problem: Problem) -> Motion:

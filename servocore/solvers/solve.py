@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from servocore.checks.before_run import ADVICE, internal_dynamics, require_feasible, require_smooth, warn_before_run
-from servocore.checks.better_solutions import LARGEST_UNWARNED, BetterSolver, steps_that_stand_out, unknown_errors
+from servocore.checks.better_solutions import LARGEST_UNWARNED, steps_that_stand_out, unknown_errors
 from servocore.checks.between_instants import hidden_values
 from servocore.checks.findings import Finding, told
 from servocore.checks.motion import Motion, passed, poles_passed
@@ -33,7 +33,7 @@ from servocore.numerics.step_operations import KINKS
 from servocore.problem import Problem
 from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution, Statistics
-from servocore.solvers.exact_inversion import Pointwise
+from servocore.solvers.exact_inversion import EXACT, Pointwise
 from servocore.solvers.route import Adaptive, JudgedRoute, Route
 from servocore.solvers.runs import Progress, with_run_quantities
 from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_near
@@ -262,13 +262,11 @@ def chosen_route(
 
 def error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
     """Return how far the inputs of a solution by a route are from more accurate ones."""
-    exact = BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
     try:
-        if isinstance(route, JudgedRoute):
-            return route.better(problem).compared(problem, solution).estimate
-        if problem.flat:
-            return exact.compared(problem, solution).estimate
-        raise ServocoreError(f"no more accurate solver of {problem.system.name} is known for this route")
+        if not (isinstance(route, JudgedRoute) or problem.flat):
+            raise ServocoreError(f"no more accurate solver of {problem.system.name} is known for this route")
+        better = route.better(problem) if isinstance(route, JudgedRoute) else EXACT
+        return better.compared(problem, solution).estimate
     except ServocoreError as error:
         return unknown_errors(problem, solution, str(error))
 

@@ -87,6 +87,11 @@ class DerivativeArray:
         """The states by name of the variable and order of the derivative."""
         return tuple((self.names[j], order) for j, order in self.states)
 
+    @property
+    def inputs(self) -> list[int]:
+        """The indices of the inputs among the unknowns."""
+        return [self.position(f"u.{quantity.name}", 0) for quantity in self.system.inputs]
+
     def column(self, entries: tuple[tuple[int, int], ...]) -> ca.SX:
         """Return the symbols of `entries`."""
         symbols, height = ca.vec(self.y), self.y.size1()  # indexed once for all: each takes some microseconds
