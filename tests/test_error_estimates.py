@@ -68,8 +68,8 @@ def assert_known_and_warned_of(exact: dict[str, np.ndarray], found: sc.Solution,
 # Random members -------------------------------------------------------------------------------------------------------
 
 
-def force_on_the_car(t: np.ndarray, duration: float, p: dict[str, float]) -> np.ndarray:
-    """The path is a polynomial, so the slide of the mass is one too, and a decaying oscillation from rest."""
+def force_on_the_car(t: np.ndarray, duration: float, p: dict[str, float], start: float = 0.0) -> np.ndarray:
+    """The path is a polynomial, so the slide of the mass is one too, and a decaying oscillation from its start."""
     profile = np.polynomial.Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
     rise = 2.0 * profile(np.polynomial.Polynomial([0.0, 1.0 / duration]))
     sin, cos = np.sin(p["inclination"]), np.cos(p["inclination"])
@@ -80,7 +80,7 @@ def force_on_the_car(t: np.ndarray, duration: float, p: dict[str, float]) -> np.
         slide[n] = (drive[n] - known) / stiffness
     steady = np.polynomial.Polynomial(slide)
     roots = np.roots([inertia, damping, stiffness]).astype(complex)
-    weights = np.linalg.solve(np.vander(roots, 2, increasing=True).T, [-steady(0.0), -steady.deriv()(0.0)])
+    weights = np.linalg.solve(np.vander(roots, 2, increasing=True).T, [start - steady(0.0), -steady.deriv()(0.0)])
     swings = (weights * roots**2 * np.exp(np.outer(t, roots))).sum(axis=1).real
     acceleration = rise.deriv(2)(t) - cos * (steady.deriv(2)(t) + swings)
     return np.asarray(p["car_mass"] * acceleration + p["mass"] * rise.deriv(2)(t))
@@ -117,6 +117,36 @@ def test_a_mass_on_a_car_is_judged_by_better_runs(
     found, said = solved(subject, form, method, step=duration / steps)
     exact = {"u": force_on_the_car(found.t, duration, subject.parameter_values())}
     assert_known_and_warned_of(exact, found, said)
+
+
+@settings(max_examples=15)
+@given(
+    st.floats(-2.0, 1.9),
+    st.floats(-6.0, -1.0),
+    st.floats(-5.0, 1.0),
+    st.sampled_from([sc.Projected(), sc.Reduced(), sc.Original()]),
+    st.sampled_from([*DAMPED, *UNDAMPED, sc.RadauIIA(10), sc.Gauss(10)]),
+    st.sampled_from([13, 100, 1300]),
+    st.booleans(),
+)
+def test_a_free_oscillation_is_warned_of_if_steps_damp_or_delay_it(
+    radians: float, damping: float, start: float, form: sc.Formulation, method: sc.Method, steps: int, to_rtol: bool
+) -> None:
+    """It goes from a hundredth of a radian in a step to eighty, and hardly decays within one.
+
+    Its share of a peak below the limit adds to other errors below it.
+    """
+    rate, step = 10**radians * steps / 4.0, sc.Adaptive(0.02) if to_rtol else 4.0 / steps
+    decay = 10**damping * min(rate, steps / 4.0)
+    subject = scene("mass_on_car").with_parameters(stiffness=rate**2, damping=2.0 * decay)
+    try:
+        found, said = solved(subject, form, method, step=step, start={"s": 10**start, "s_dot": 0.0})
+    except sc.IntegrationFailed:
+        assert to_rtol or isinstance(form, sc.Original)
+        return
+    exact = force_on_the_car(found.t, 4.0, subject.parameter_values(), 10**start)
+    off = np.abs(found["u"] - exact).max() / np.abs(exact).max()
+    assert off > 0.5 * LARGEST_UNWARNED if said else off < 2.0 * LARGEST_UNWARNED
 
 
 @settings(max_examples=20)

@@ -24,6 +24,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import subdivided
 from servocore.solution import ErrorEstimate, Solution
+from servocore.stepping.prescribed_initial_values import start_unknowns
 
 LARGEST_UNWARNED = 0.05
 """Of an input's peak: an input further from the exact one is warned of; of the range of a coordinate: one further from
@@ -120,7 +121,7 @@ def warn_of_wrong_inputs(solution: Solution, comparison: Comparison, advice: str
     column, unit, turn = solution.names.index(name), solution.unit(name), ""
     off, doubt = (each[:, column] for each in comparison.distances)
     k = int((doubt if known[name] is None else off).argmax())
-    share = f"{100.0 * relative[name]:.2g} % of" if relative[name] < 1.0 else f"{relative[name]:.3g} times"
+    share = f"{100.0 * relative[name]:.2g} % of" if relative[name] < 0.995 else f"{relative[name]:.3g} times"
     found, other = f"is off by {share} its peak", ""
     if known[name] is None:
         found = f"may be wrong, more accurate values change by {share} its peak with their step"
@@ -156,6 +157,30 @@ def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
 
 
 _MOST_HALVINGS = 3
+_RESOLVED = 2.0  # radians of a mode in a step of radau5, which errs by 2e-6 of its amplitude then
+_SEEN = 0.5  # radians between two instants, where errors of a mode that decays have their peak too
+_UNRESOLVED = 16.0  # radians in a step that no method follows: Gauss and Radau have ten stages at most
+
+
+def excited_mode(problem: Problem, solution: Solution) -> tuple[float, float]:
+    """Return the fastest mode of internal dynamics that counts: radians in a step, and its largest share of a peak.
+
+    Modes that have not decayed after a step of the solution count if it resolves them, or if the start excites them:
+    more than `LARGEST_UNWARNED` of the peak of an input is their free motion. A start at rest excites none.
+    """
+    from servocore.structure.zero_dynamics import free_modes  # noqa: PLC0415 - a flat problem has no internal dynamics
+
+    array, step = problem.array, float(np.ptp(solution.t)) / solution.statistics.steps
+    gamma = problem.reference.jet(problem.reference.start_time, array.reference_order)
+    s, swings = free_modes(array, start_unknowns(problem, gamma[None], problem.p[None])[0][:, 0], gamma.T, problem.p)
+    peaks, s = np.abs(solution.values[:, : len(array.inputs)]).max(axis=0), s * step
+    shares = (swings[array.inputs].T / np.maximum(peaks, max(1e-6 * peaks.max(), 1e-300))).max(axis=1)
+    # What has decayed after a step is over for methods that damp it, but not for others.
+    lasting = np.exp(np.minimum(s.real, 0.0)) * shares > LARGEST_UNWARNED
+    radians = np.where(lasting, np.abs(s), np.minimum(np.abs(s), _RESOLVED))
+    radians[~((np.abs(s) <= _RESOLVED) | (shares > LARGEST_UNWARNED))] = 0.0
+    k = int(radians.argmax())
+    return float(radians[k]), float(shares[k])
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,15 +216,25 @@ class BetterSolver:
         ServocoreError
             If there are none.
         """
-        kept = slice(0, (len(solution.t) - 1) // every * every + 1, every)
-        solution = replace(solution, t=solution.t[kept], values=solution.values[kept])
         t, inputs = solution.t, len(problem.system.inputs)
         if self.exact:
             exact = self.run(problem, t)
             better = np.column_stack([np.interp(t, exact.t, column) for column in exact.values.T])
             return Comparison(solution, better, self.basis, better[:, :inputs])
+        radians, share = excited_mode(problem, solution)
+        if radians > _UNRESOLVED:
+            step = float(np.ptp(t)) / solution.statistics.steps
+            raise ServocoreError(
+                f"the start excites a free oscillation of {radians / step:.4g} rad/s, {100.0 * min(share, 1.0):.3g} %"
+                f" of the peak of an input, that steps of {step:.4g} s do not follow; steps of"
+                f" {0.5 * step / radians:.2g} s do, or a start without it"
+            )
+        radians *= solution.statistics.steps / (len(t) - 1)  # between two instants
+        every = max(1, min(every, int(_SEEN / max(radians, 1e-300))))
+        kept = slice(0, (len(t) - 1) // every * every + 1, every)
+        solution, t = replace(solution, t=t[kept], values=solution.values[kept]), t[kept]
         found, failed, comparison = list[Array](), ServocoreError("no step was small enough"), None
-        first = [2**k for k in range(_MOST_HALVINGS + 1)]
+        first = [max(1, int(np.ceil(radians / _RESOLVED))) * 2**k for k in range(_MOST_HALVINGS + 1)]
         # Larger steps than those of a solution may say nothing of it: where they leave a doubt, more are halved.
         for parts in (*first, *(k for k in (every, 2 * every) if k > first[-1])):
             if comparison is not None and parts > first[-1] and not comparison.doubtful:
@@ -242,9 +277,8 @@ def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | N
     columns = [solution.names.index(name) for name in problem.system.coordinates.names]
     comparison = None
     if better is not None:
-        every = 1 if better.exact else max(1, (len(solution.t) - 1) // FEWEST)
         try:
-            comparison = better.compared(problem, solution, every)
+            comparison = better.compared(problem, solution, max(1, (len(solution.t) - 1) // FEWEST))
         except ServocoreError as error:
             warnings.warn(
                 f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong:"

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.before_run import internal_dynamics
-from servocore.checks.better_solutions import NOTICED, BetterSolver, stated_branch
+from servocore.checks.better_solutions import LARGEST_UNWARNED, NOTICED, BetterSolver, excited_mode, stated_branch
 from servocore.errors import InconsistentStart, IntegrationFailed
 from servocore.formulations.base import Formulation
 from servocore.formulations.original import Original
@@ -25,7 +25,7 @@ from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
 from servocore.references.base import subdivided
 from servocore.solution import Solution
-from servocore.solvers.exact_inversion import Pointwise
+from servocore.solvers.exact_inversion import EXACT
 from servocore.solvers.route import Adaptive, JudgedRoute
 from servocore.solvers.runs import (
     Progress,
@@ -71,7 +71,7 @@ class Stepped(JudgedRoute):
     def better(self, problem: Problem) -> BetterSolver:
         """Return the exact inversion, the bounded one, or a method of high order; see `JudgedRoute`."""
         if problem.flat:
-            return BetterSolver(Pointwise(Reduced()).run, True, "the exact inversion")
+            return EXACT
         if internal_dynamics(problem).grows:
             return BetterSolver(StableInversion().run, True, "the stable inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
@@ -82,7 +82,7 @@ class Stepped(JudgedRoute):
         better, motion = None, solution.motion
         if motion is not None and motion.values is not None:
             exact = replace(solution, t=motion.t, values=motion.values.T)
-            better = BetterSolver(lambda *_: exact, True, "the exact inversion")
+            better = replace(EXACT, run=lambda *_: exact)
         # Of unstable dynamics its user was warned before the run.
         elif not (problem.flat or internal_dynamics(problem).grows) and self._is_doubtful(problem, solution):
             better = self.better(problem)
@@ -91,13 +91,17 @@ class Stepped(JudgedRoute):
     def _is_doubtful(self, problem: Problem, solution: Solution) -> bool:
         """Whether inputs may be far from right, with internal dynamics that do not grow.
 
-        Stable results of collocation on a form of index one are right where third differences of all values are small.
+        Free motion of z radians in a step errs by z^(order + 1) in each, and tolerances are kept by two runs that both
+        damp it. Other stable results of collocation on a form of index one are right where third differences of all
+        values are small.
         """
-        estimate = solution.statistics.error_estimate
-        if estimate is not None:
-            return not estimate <= NOTICED
-        index, values = problem.dae(self.formulation).index, solution.values
-        stable = index <= 1 and isinstance(self.method, RadauIIA) and self.method.orders(index).forces > 1
+        index, values, summary = problem.dae(self.formulation).index, solution.values, solution.statistics
+        (radians, share), order = excited_mode(problem, solution), self.method.orders(index).forces
+        if share > LARGEST_UNWARNED and summary.steps * radians ** (max(order, 0) + 1) > NOTICED:
+            return True
+        if summary.error_estimate is not None:
+            return not summary.error_estimate <= NOTICED
+        stable = index <= 1 and isinstance(self.method, RadauIIA) and order > 1
         allowed = NOTICED * np.ptp(values, axis=0)
         return not (stable and len(values) > 3 and (np.abs(np.diff(values, 3, axis=0)).max(axis=0) <= allowed).all())
 

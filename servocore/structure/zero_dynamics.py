@@ -92,6 +92,40 @@ def internal_equilibrium(array: DerivativeArray, p: Array, output: Array) -> Equ
     return Equilibrium(guess[states], eigenvalues, stable, unstable)
 
 
+def free_modes(array: DerivativeArray, values: Array, gamma: Array, p: Array) -> tuple[Array, Array]:
+    """Linearize the internal dynamics at an instant, and decompose their motion there into modes.
+
+    A mode of eigenvalue s, whose part of the rates of the states is r, is r/s away from where it would rest: to first
+    order in 1/s from the motion that the output alone drives, which is slow beside a fast mode.
+
+    Parameters
+    ----------
+    array : DerivativeArray
+        With internal states.
+    values : ndarray, shape (unknowns,)
+        They satisfy the equations.
+    gamma : ndarray, shape (m, reference_order + 1)
+        Of the output.
+    p : ndarray
+        Parameters.
+
+    Returns
+    -------
+    eigenvalues : ndarray, shape (n_x,)
+        In 1/s; NaN where the equations are singular.
+    swings : ndarray, shape (unknowns, n_x)
+        Amplitudes of the free motion in all unknowns, mode by mode; both modes of a complex pair have that of the pair.
+    """
+    by_states, rates = _by_states(array, values, gamma, p), array.places((j, order + 1) for j, order in array.states)
+    if not np.isfinite(by_states).all():
+        return np.full(len(rates), np.nan), np.zeros_like(by_states)
+    eigenvalues, modes = np.linalg.eig(by_states[rates])
+    # Least squares, since modes of a defective matrix are dependent. One of eigenvalue zero rests anywhere.
+    parts = np.linalg.lstsq(modes, values[rates].astype(complex), rcond=None)[0]
+    away = np.divide(parts, eigenvalues, out=np.zeros_like(parts), where=eigenvalues != 0.0)
+    return eigenvalues, np.abs(by_states @ (modes * away)) * np.where(eigenvalues.imag, 2.0, 1.0)
+
+
 def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
     """Return rows that span the left invariant subspace of stable or unstable eigenvalues (ordered Schur form)."""
     import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
