@@ -292,12 +292,12 @@ def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | N
         far = np.abs(own - exact) > LARGEST_UNWARNED * np.ptp(exact, axis=0) + ROUND_OFF * np.abs(exact).max()
         if not far.any():
             return f"one: every instant is near {comparison.basis}, on the branch of the first"
-    odd = steps_that_stand_out(solution.values[:, columns])
-    if not len(odd):
-        return "one: no step of the motion stands out from its neighbours"
-    t, k = solution.t, int(odd[0])
-    said = f"not known: the step from t = {t[k]:.6g} s to {t[k + 1]:.6g} s is much larger than its neighbours"
-    if comparison is None:
-        return said
-    time = comparison.solution.t[far.any(axis=1).argmax()]
-    return f"{said}, and {comparison.basis} gives another motion from t = {time:.6g} s"
+    odd, t, said = steps_that_stand_out(solution.values[:, columns]), solution.t, list[str]()
+    if len(odd):
+        said.append(f"the step from t = {t[odd[0]]:.6g} s to {t[odd[0] + 1]:.6g} s is much larger than its neighbours")
+    if comparison is not None:
+        time = comparison.solution.t[far.any(axis=1).argmax()]
+        said.append(f"{comparison.basis} gives another motion from t = {time:.6g} s")
+    elif better is not None:
+        said.append("no more accurate motion is known")
+    return f"not known: {', and '.join(said)}" if said else "one: no step of the motion stands out from its neighbours"
