@@ -119,10 +119,12 @@ def identify(
     read = records(log, scene, positions_of(problem.resolved))
     fit = _fit(problem, read, scene.effects.measured, names, spreads_of(names, believed), bias)
     found = minimized(fit, fit.start([_equilibria(fit, data) for data in fit.stretches]))
-    bent = any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights)
-    if bent or not found.settled:  # measured positions bend faster than the splines can
-        fit, state = fit.refined(found.state, _SPACINGS[1])
-        found = minimized(fit, state, fresh=False)
+    # Where measured positions bend faster than the splines can, finer ones do. Exact logs, of nearly no noise, can lead
+    # these astray.
+    if not found.settled or any(float(each.scales[fit.inputs :].max()) > _BENT for each in found.weights):
+        finer, state = fit.refined(found.state, _SPACINGS[1])
+        again = minimized(finer, state, fresh=False)
+        fit, found = (finer, again) if again.settled or not found.settled else (fit, found)
     _require_explained(fit, found, [record.name for record in read])
     result = Identified(names, tuple(record.name for record in read), loops, tuple(jobs), scene, fit, found)
     if result.doubts:
