@@ -40,6 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):  # the process that starts the others
         os.environ[BUILT] = tempfile.mkdtemp(prefix="fmus of a test run ")
         os.environ["SERVOCORE_CACHE"] = tempfile.mkdtemp(prefix="machine code of a test run ")
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads that wait take processor time
         os.environ["SERVOCORE_MACHINE_CODE"] = "off"  # a compiler beside every test would take their time
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes import the same modules
         os.environ.setdefault("CFLAGS", "-O0")  # of exported FMUs: a third of the time, and no digit depends on it

@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -23,7 +23,7 @@ from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2Ca
 from fmpy.fmi3 import FMU3Slave
 from processes import python
 
-from crane_fmu.build import build_fmu
+from crane_fmu.build import SystemOptions, build_ssp
 from crane_fmu.catalogue import KINDS, ORDERS
 from servocore.numerics.compiled_calls import Array
 
@@ -67,8 +67,15 @@ def built_once(name: str, build: Callable[[Path], object], seconds: float = 900.
 
 
 @cache
+def system(native: bool = False) -> Path:
+    options = SystemOptions(targets="host", native=native)
+    return built_once(f"system{' native' * native}", partial(build_ssp, options=options)) / "Crane.ssp"
+
+
+@cache
 def fmu_file(name: str = "RotaryCrane") -> Path:
-    return built_once(f"{name}.fmu", lambda file: build_fmu(file.parent, kind=KINDS[name], targets="host"))
+    """Return an FMU of the system, which is the one that `build_fmu` builds alone: none is built twice."""
+    return system().parent / KINDS[name].file_name
 
 
 def members(file: str | Path | BytesIO) -> dict[str, bytes]:

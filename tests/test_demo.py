@@ -11,8 +11,7 @@ import pytest
 from browser import Page, require_browser
 from command_lines import crane_fmu as run
 from command_lines import table
-from fmu_host import fmu_file
-from test_ssp import system
+from fmu_host import fmu_file, system
 
 import crane_fmu.demo
 import servocore as sc
@@ -52,6 +51,7 @@ def make_light(patch: pytest.MonkeyPatch) -> None:
 
     loops = [LoadRun("none", np.arange(2.0), *np.ones((2, 2, 3)))]
     patch.setattr("crane_fmu.demo.build_system", copied)
+    patch.setattr("crane_fmu.report.study.track", lambda *_: 4 * loops)
     patch.setattr("crane_fmu.demo.study", lambda *_: kept_study())
     patch.setattr("crane_fmu.demo.closed_loops", lambda *_: loops)
     patch.setattr("crane_fmu.report.page.picture", lambda *_: b"<svg/>")

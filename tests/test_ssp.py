@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Mapping
-from functools import cache, partial
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ from command_lines import crane_fmu as run
 from fmpy import read_csv
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
-from fmu_host import built_once, fmu_file, in_a_process, members, scratch
+from fmu_host import fmu_file, in_a_process, members, scratch, system
 from test_masters import missing
 
 import servocore as sc
@@ -30,12 +30,6 @@ from servocore.export.system import Element, packed_system
 from servocore.numerics.compiled_calls import Array
 
 STEP = 0.01
-
-
-@cache
-def system(native: bool = False) -> Path:
-    options = SystemOptions(targets="host", native=native)
-    return built_once(f"system{' native' * native}", partial(build_ssp, options=options)) / "Crane.ssp"
 
 
 def simulated(file: Path, stop: float, parameters: Mapping[str, float] = {}) -> Any:

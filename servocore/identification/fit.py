@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy  # loads scipy.linalg when a fit calls it: all commands import this module
 
 from servocore.identification.logs import MOVES, Blocks
 from servocore.identification.prediction import DELAY, Predicted, Prediction
