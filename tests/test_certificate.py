@@ -19,7 +19,6 @@ from present import present
 from thinned import thinned
 
 import servocore as sc
-from benchmarks.atlas.row06_singular_configurations import near_slack
 from servocore.certificate import proof
 from servocore.certificate.certify import Certificate
 from servocore.certificate.proof import Proof
@@ -149,21 +148,6 @@ def test_a_spike_between_instants_is_refuted_with_its_value(model: str) -> None:
     assert statement.what.startswith("M between instants")
     assert statement.time == pytest.approx(0.288, abs=1e-3)
     assert float(statement.sentence.split()[2]) == pytest.approx(exact, rel=1e-2)
-
-
-@pytest.mark.parametrize("margin", thinned([1e-4, 1e-6], lambda margin: margin > 1e-5))
-def test_a_pole_that_no_proof_passes_is_refuted_by_what_is_joined_before_it(margin: float) -> None:
-    """A rope that nearly goes slack, in coordinates that are nearly singular there."""
-    scene = near_slack(margin)
-    with pytest.warns(sc.ServocoreWarning, match="close to a pole"):
-        solution = sc.solve(scene, model="generalized")
-    certificate = sc.certify(solution)
-    statement = next(each for each in certificate.statements if each.verdict == "refuted")
-    assert statement.what.startswith("M_b between instants")
-    exact = abs(scene.exact(np.array([present(statement.time)]))["M_b"][0])
-    assert float(statement.sentence.split()[2]) == pytest.approx(exact, rel=1e-3)
-    assert exact > 2.0 * np.abs(solution["M_b"]).max()
-    assert np.isinf(certificate.tube([solution.t[-1]])["M_b"]).all()  # proved, on a branch that may be another
 
 
 def test_inputs_that_jump_are_listed_and_the_motion_is_proved() -> None:
