@@ -198,7 +198,7 @@ def certify(
     else:
         jumps = jumps_of(proof)
         statements += motion_statements(proof, solution)
-        if proof.proved.all():
+        if solution is not None or proof.joined.all():
             bounds, of_instants, spikes = compared(proof, solution, tolerance)
             statements, wanted = statements + of_instants, spikes + wanted
         statements += stated(proof, wanted, jumps)

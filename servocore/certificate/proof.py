@@ -31,17 +31,19 @@ Mask = npt.NDArray[np.bool_]
 _DEGREE = 10
 _FIRST, _BOXED = 20, 8  # intervals of a path to begin with, each piece of it one at the least; for a box of parameters
 OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
-REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times the radius where that is more
+REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times a radius proved before where that is more
+_SHAPED = 3.0  # D, of the radii that the test before found: near poles other radii than those of peaks
 _NARROW = 0.05  # of the tolerance: radius of the inputs at which no interval is halved any more
 _DEEPEST = 14  # halvings
 _GUESSED = 4  # halvings while answers come from the guess of the model
 _COARSE = 20.0  # last coefficients, of the tolerance, that call for halves
-_TESTS = 2  # the second where D was too small
+_TESTS = 3  # more than one where D was too small
 _TINY = 1e-12
-_MOST = 1200  # intervals
+_MOST, _FINE = 1200, 600  # intervals, and those up to which they are halved for accuracy alone
 _STEADY = 1e-8  # radius of what may not jump with the equations, of a peak
 _TIGHT = 1e-11  # D of what they switch by
 _FEW = 64  # unknowns in one block
+_ON = {"one branch", "inputs jump"}  # joints at which the motion goes on
 _CENTRED = 4  # steps of Newton's method to the middle of what inputs jump from and to
 
 
@@ -147,6 +149,12 @@ class Proof:
         return np.asarray(self.relative < np.inf)
 
     @property
+    def joined(self) -> Mask:
+        """Whether intervals are proved and on one branch with the first."""
+        lost = [time for time, joint in zip(self.end.tolist(), self.joints, strict=False) if joint not in _ON]
+        return np.asarray(self.proved & (self.begin < min(lost, default=np.inf)))
+
+    @property
     def solved(self) -> Mask:
         """Whether there are answers on intervals."""
         return np.asarray(np.isfinite(self.x[:-1]).all(axis=(0, 1)))
@@ -179,7 +187,7 @@ class Proof:
         k, tried, wide = int(self.proved.argmax()), False, self._too_wide()
         while 0 <= (n := k + step) < len(self.begin) <= _MOST:
             joint, lost = self.joints[min(k, n)], np.isinf(self.relative[k])
-            joined, ended = joint in {"one branch", "inputs jump"}, joint == "motion jumps" or self.depth[n] >= _DEEPEST
+            joined, ended = joint in _ON, joint == "motion jumps" or self.depth[n] >= _DEEPEST
             if (lost and self.tested[n]) or (joined and not wide[n]) or (tried and ended):
                 k, tried = n, False
                 continue
@@ -226,11 +234,12 @@ class Proof:
         """Return whether intervals are proved, not well enough, and halves may help.
 
         They do not where the radius, of rounding errors, is hardly less than that of what an interval is a quarter of,
-        and a half where it is nearly small enough.
+        and a half where it is nearly small enough. There are never so many that none are left for what is not proved.
         """
         before = np.where(self.relative < 2.0 * self._narrow, self.before[1], self.before[0])
         wide = (self._narrow < self.relative) & (self.relative <= before / 2.0)
-        return np.asarray(np.where(self.jumping, self.within, wide) & self.proved & (self.depth < _DEEPEST))
+        wide = np.where(self.jumping, self.within, wide) & self.proved & (self.depth < _DEEPEST)
+        return np.asarray(wide & (len(wide) + wide.sum() <= _FINE))
 
     # Answers and test -----------------------------------------------------------------------------------------------
 
@@ -259,19 +268,19 @@ class Proof:
         return np.where(np.isfinite(x).all(axis=0), self.ring.tried(x), np.nan)
 
     def _test(self, some: Mask, equations: Equations) -> None:
-        """Test intervals within D, which is less where they were halved; more where that was tried and is too small.
+        """Test intervals within D, which is less where they were halved; where it is too small, in the radii's shape.
 
         It is least for what equations switch by: they are known wherever that is not about to pass a jump. Where they
         jump, steps of Newton's method go between what inputs jump from and to. Nothing is kept that proves less than
         was known.
         """
-        for _ in range(_TESTS):
+        for tests in range(_TESTS):
             if not some.any():
                 return
             model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
             D = REACH * peaks * 0.5 ** self.depth[some]
             D[equations.switching] = _TIGHT * peaks[equations.switching]
-            x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
+            x, D = model[:-1], _SHAPED * model[-1] if tests else np.maximum(D, _ENLARGED * model[-1])
             for left in reversed(range(_CENTRED)):
                 rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
                 if not left or not switches.any():
@@ -289,9 +298,9 @@ class Proof:
 
     @property
     def enclosures(self) -> Model:
-        """Enclosures of unknowns, path, parameters and time on all intervals: any number where they are not proved."""
-        x = np.where(self.proved, self.x, 0.0)
-        x[-1, :, ~self.proved] = np.inf
+        """Enclosures of unknowns, path, parameters and time on all intervals: any number where they are not joined."""
+        x = np.where(self.joined, self.x, 0.0)
+        x[-1, :, ~self.joined] = np.inf
         return np.concatenate([x, self.given], axis=1)
 
     def at(self, models: Model, t: Array) -> Model:

@@ -280,7 +280,8 @@ def compared(
     """Bound errors of inputs, at the instants of a solution or of a default run, and state the consequence.
 
     Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants; where
-    equations switch inputs have no value to compare with.
+    equations switch inputs have no value to compare with. Of a motion that is not proved to its end only the claim is
+    left: a value far beyond refutes it wherever the motion is joined, with what is reported where it is not.
     """
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
@@ -289,6 +290,7 @@ def compared(
     unknowns = proof.at(proof.enclosures[:, places], t)
     middle, radius = unknowns[0], magnitude(unknowns[1:])
     reported = middle if solution is None else np.stack([solution[each.name][calm] for each in inputs])
+    middle = np.where(np.isfinite(radius), middle, reported)  # the instants show what is not proved, too
     apart, peaks = np.abs(reported - middle), np.abs(middle).max(axis=1)
     peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
     between = proof.x[-1, places][:, ~proof.jumping].max(axis=1)
@@ -298,6 +300,8 @@ def compared(
         bounds[each.name] = ErrorBound(float((apart + radius)[k].max()), float(between[k]), peak, each.unit)
         spike = Limit(each.name, each.unit, -_SPIKE * peak, _UNSHOWN, Named(each.name), upper=_SPIKE * peak)
         claims += [] if proof.boxed else [(what, spike)]
+    if not proof.joined.all():
+        return {}, [], claims
     if solution is not None:
         low, high = ((apart + side * radius) / peaks[:, None] for side in (-1.0, 1.0))
         verdict: Verdict = "proved" if high.max() <= tolerance else "refuted" if low.max() > tolerance else "undecided"
