@@ -29,7 +29,8 @@ Mask = npt.NDArray[np.bool_]
 """Marks of intervals."""
 
 _DEGREE = 10
-_FIRST, _BOXED = 20, 8  # intervals of a path to begin with, each piece of it one at the least; for a box of parameters
+_FIRST, _BOXED = 5, 8  # intervals of a path to begin with: for each order of derivatives; for a box of parameters
+_ORDERS = 4  # of derivatives at least
 OUTSIDE = 1e-2  # of the duration: intervals before and behind the path
 REACH, _ENLARGED = 1e-5, 8.0  # D, of a peak; times a radius proved before where that is more
 _SHAPED = 3.0  # D, of the radii that the test before found: near poles other radii than those of peaks
@@ -105,8 +106,8 @@ class Proof:
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, boxed: Box, tolerance: float, raised: bool = False) -> None:
         path, of_parameters = problem.reference, {1: 4, 2: 3}.get(len(boxed), 2)
-        margin = OUTSIDE * path.duration
-        grid = [path.start_time - margin, *grid_of(path, _BOXED if boxed else _FIRST), path.end_time + margin]
+        first, margin = _FIRST * max(problem.array.reference_order, _ORDERS), OUTSIDE * path.duration
+        grid = [path.start_time - margin, *grid_of(path, _BOXED if boxed else first), path.end_time + margin]
         self.boxed, self.ring = boxed, arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
         self._narrow = tolerance if boxed else _NARROW * tolerance
         self._begin(problem, equations_of(problem.resolved, raised), tolerance, np.array(grid))
