@@ -49,7 +49,7 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault("CFLAGS", "-O0")  # of exported FMUs: a third of the time, and no digit depends on it
         keep_libraries(config)
     if config.getoption("--quick"):
-        gc.set_threshold(50_000)  # a run of a minute leaves little: to look for it often takes a twentieth of the time
+        gc.disable()  # a run of a minute leaves little garbage, and to look for it takes a tenth of the time
     config.pluginmanager.register(budgets.Meter(config.getoption("--most-of-budget")))
 
 
