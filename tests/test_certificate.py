@@ -19,6 +19,7 @@ from present import present
 from thinned import thinned
 
 import servocore as sc
+from benchmarks.atlas.row06_singular_configurations import near_slack
 from servocore.certificate import proof
 from servocore.certificate.certify import Certificate
 from servocore.certificate.proof import Proof
@@ -148,6 +149,24 @@ def test_a_spike_between_instants_is_refuted_with_its_value(model: str) -> None:
     assert statement.what.startswith("M between instants")
     assert statement.time == pytest.approx(0.288, abs=1e-3)
     assert float(statement.sentence.split()[2]) == pytest.approx(exact, rel=1e-2)
+
+
+def test_a_pole_that_no_proof_passes_is_refuted_by_what_is_joined_before_it() -> None:
+    """A rope that nearly goes slack is 8,500 km long there."""
+    scene = near_slack(1e-6)
+    with pytest.warns(sc.ServocoreWarning):
+        solution = sc.solve(
+            scene, sc.Reduced(), sc.BackwardEuler(), step=scene.reference.duration / 200, model="generalized"
+        )
+    certificate = sc.certify(solution, tolerance=0.05)
+    statement = next(each for each in certificate.statements if each.verdict == "refuted")
+    time = present(statement.time)
+    assert statement.what.startswith("M_b between instants")
+    value = float(statement.sentence.split()[2])
+    assert value == pytest.approx(scene.exact(np.array([time]))["M_b"][0], rel=1e-3)
+    assert abs(value) > 2.0 * np.abs(solution["M_b"]).max()
+    assert np.isfinite(certificate.tube([time])["M_b"]).all()
+    assert np.isinf(certificate.tube([scene.reference.end_time])["M_b"]).all()  # perhaps of another branch
 
 
 def test_inputs_that_jump_are_listed_and_the_motion_is_proved() -> None:

@@ -281,7 +281,9 @@ class Proof:
             model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
             D = REACH * peaks * 0.5 ** self.depth[some]
             D[equations.switching] = _TIGHT * peaks[equations.switching]
-            x, D = model[:-1], _SHAPED * model[-1] if tests else np.maximum(D, _ENLARGED * model[-1])
+            x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
+            if tests:  # more than what ends are rounded by at joints
+                D = np.maximum(_SHAPED * model[-1], _TINY * norm(x))
             for left in reversed(range(_CENTRED)):
                 rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
                 if not left or not switches.any():

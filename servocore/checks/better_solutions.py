@@ -297,6 +297,8 @@ def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | N
         said.append(f"the step from t = {t[odd[0]]:.6g} s to {t[odd[0] + 1]:.6g} s is much larger than its neighbours")
     if comparison is not None:
         time = comparison.solution.t[far.any(axis=1).argmax()]
+        if not said:
+            return f"one: steps follow each other, but far from {comparison.basis} from t = {time:.6g} s on"
         said.append(f"{comparison.basis} gives another motion from t = {time:.6g} s")
     elif better is not None:
         said.append("no more accurate motion is known")
