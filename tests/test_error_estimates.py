@@ -376,8 +376,8 @@ def test_a_motion_that_changes_over_is_neither_called_one_nor_right() -> None:
     with pytest.warns(sc.ServocoreWarning, match="f is off by 2 times its peak"):
         said = stated_branch(problem, turned, route.better(problem), "")
     assert said == (
-        "not known: the step from t = 2 s to 2.005 s is much larger than its neighbours, and the exact inversion gives"
-        " another motion from t = 2.005 s"
+        "not known: the step from t = 2 s to 2.005 s is much larger than its neighbours, and the exact inversion is"
+        " elsewhere from t = 2.005 s on"
     )
     assert turned.error.relative["f"] == pytest.approx(2.0, rel=0.05)
 

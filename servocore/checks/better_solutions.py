@@ -275,11 +275,12 @@ def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | N
         Remedy for inputs that are far off.
     """
     columns = [solution.names.index(name) for name in problem.system.coordinates.names]
-    comparison = None
+    comparison, said = None, list[str]()
     if better is not None:
         try:
             comparison = better.compared(problem, solution, max(1, (len(solution.t) - 1) // FEWEST))
         except ServocoreError as error:
+            said.append("no more accurate motion is known")
             warnings.warn(
                 f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong:"
                 f" {error}",
@@ -292,14 +293,11 @@ def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | N
         far = np.abs(own - exact) > LARGEST_UNWARNED * np.ptp(exact, axis=0) + ROUND_OFF * np.abs(exact).max()
         if not far.any():
             return f"one: every instant is near {comparison.basis}, on the branch of the first"
-    odd, t, said = steps_that_stand_out(solution.values[:, columns]), solution.t, list[str]()
+    odd, t = steps_that_stand_out(solution.values[:, columns]), solution.t
     if len(odd):
         said.append(f"the step from t = {t[odd[0]]:.6g} s to {t[odd[0] + 1]:.6g} s is much larger than its neighbours")
     if comparison is not None:
         time = comparison.solution.t[far.any(axis=1).argmax()]
-        if not said:
-            return f"one: steps follow each other, but far from {comparison.basis} from t = {time:.6g} s on"
-        said.append(f"{comparison.basis} gives another motion from t = {time:.6g} s")
-    elif better is not None:
-        said.append("no more accurate motion is known")
-    return f"not known: {', and '.join(said)}" if said else "one: no step of the motion stands out from its neighbours"
+        said.append(f"{comparison.basis} is elsewhere from t = {time:.6g} s on")
+    verdict = "not known" if len(odd) or (said and comparison is None) else "one"
+    return f"{verdict}: {', and '.join(said or ['no step of the motion stands out from its neighbours'])}"
