@@ -279,11 +279,13 @@ class Proof:
             if not some.any():
                 return
             model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
-            D = REACH * peaks * 0.5 ** self.depth[some]
-            D[equations.switching] = _TIGHT * peaks[equations.switching]
-            x, D = model[:-1], np.maximum(D, _ENLARGED * model[-1])
+            x = model[:-1]
             if tests:  # more than what ends are rounded by at joints
                 D = np.maximum(_SHAPED * model[-1], _TINY * norm(x))
+            else:
+                D = REACH * peaks * 0.5 ** self.depth[some]
+                D[equations.switching] = _TIGHT * peaks[equations.switching]
+                D = np.maximum(D, _ENLARGED * model[-1])
             for left in reversed(range(_CENTRED)):
                 rho, switches, failed, shift = radii(equations, self.ring, x, given, D, peaks)
                 if not left or not switches.any():
@@ -302,8 +304,9 @@ class Proof:
     @property
     def enclosures(self) -> Model:
         """Enclosures of unknowns, path, parameters and time on all intervals: any number where they are not joined."""
-        x = np.where(self.joined, self.x, 0.0)
-        x[-1, :, ~self.joined] = np.inf
+        joined = self.joined
+        x = np.where(joined, self.x, 0.0)
+        x[-1, :, ~joined] = np.inf
         return np.concatenate([x, self.given], axis=1)
 
     def at(self, models: Model, t: Array) -> Model:
