@@ -178,7 +178,7 @@ class _Search:
         search = cls(scene, problem, prediction, basis, harmonics, scales, spreads, np.empty(0))
         own = search.motion(scene.reference)
         jets = own.jet(np.linspace(own.start_time, own.end_time, 400), problem.array.reference_order)
-        size = prediction(jets, problem.p).values[:, : prediction.inputs].std(axis=0)
+        size = prediction.values(jets, problem.p)[:, : prediction.inputs].std(axis=0)
         floor = 1e-3 * float(size.max(initial=1e-12))
         return replace(search, noise=_NOISE * np.maximum(size, floor) / np.sqrt(_GRID / _SAMPLE))
 

@@ -138,9 +138,10 @@ class Fit:
         """Return the channels of a stretch."""
         return self.prediction(self.splines[k].jets(state.paths[k]), self.parameters(state))
 
-    def residuals(self, state: State, k: int, predicted: Predicted | None = None) -> tuple[Array, Array]:
+    def residuals(self, state: State, k: int, values: Array | None = None) -> tuple[Array, Array]:
         """Return measured less predicted channels of a stretch (N, channels), and the rates of its inputs (N, m)."""
-        values = (predicted or self.predicted(state, k)).values
+        if values is None:
+            values = self.prediction.values(self.splines[k].jets(state.paths[k]), self.parameters(state))
         data, m = self.stretches[k], self.inputs
         bias, delay = self.offsets(state)[data.log]
         u = values[:, :m]
@@ -153,10 +154,8 @@ class Fit:
     def cost(self, state: State, weights: list[Weights]) -> float:
         """Return the weighted sum of squares; infinite where the model has no solution."""
         center, precision = self.prior
-        total = float(precision @ (state.x - center) ** 2)
-        for k, weight in enumerate(weights):
-            residual, _ = self.residuals(state, k)
-            total += float(np.sum((weight.factors * residual / weight.scales) ** 2))
+        weighted = (each.factors * self.residuals(state, k)[0] / each.scales for k, each in enumerate(weights))
+        total = float(precision @ (state.x - center) ** 2) + sum(float(np.sum(each**2)) for each in weighted)
         return total if np.isfinite(total) else np.inf
 
     def step(self, state: State, weights: list[Weights], damping: float) -> tuple[State, Array]:
@@ -167,7 +166,7 @@ class Fit:
         count, m = len(self.scales), self.inputs
         for k, weight in enumerate(weights):
             predicted, data = self.predicted(state, k), self.stretches[k]
-            residual, rate = self.residuals(state, k, predicted)
+            residual, rate = self.residuals(state, k, predicted.values)
             w = weight.factors / weight.scales
             nuisance = np.zeros((*residual.shape, count + 2 * m))
             nuisance[:, :, :count] = predicted.by_parameter * self.scales
@@ -216,7 +215,7 @@ class Fit:
             predicted = self.predicted(state, k)
             # Where a drive creeps its acceleration jumps: the spline must not bend beside it to follow there.
             factors = self.factors(k, predicted, _BLURRED)
-            raw.append((factors, factors * self.residuals(state, k, predicted)[0]))
+            raw.append((factors, factors * self.residuals(state, k, predicted.values)[0]))
         for log in range(self.logs):
             own = [k for k, data in enumerate(self.stretches) if data.log == log]
             counted = [used(self.stretches[k], raw[k][0]) for k in own]
@@ -286,8 +285,8 @@ def minimized(problem: Fit, state: State, *, fresh: bool = True) -> Converged:
     # path that has to meet positions there swings wrongly; that would pass for noise of the inputs, another optimum.
     for more in _BLURS:
         scales = np.where(np.arange(problem.stretches[0].values.shape[1]) < problem.inputs, 1.0, more)
-        every = range(len(problem.stretches))
-        weights = [Weights(scales, problem.factors(k, problem.predicted(state, k))) for k in every]
+        shown = (problem.predicted(state, k) for k in range(len(problem.stretches)))
+        weights = [Weights(scales, problem.factors(k, each)) for k, each in enumerate(shown)]
         state = _descent(problem, state, weights, _ROUGHLY)
     for _ in range(_ROUNDS):
         weights = problem.weights(state)

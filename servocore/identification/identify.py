@@ -192,7 +192,7 @@ def _fit(
 def _require_explained(fit: Fit, found: Converged, names: Sequence[str]) -> None:
     """Raise `InvalidReference` where inputs are hardly explained because of units or clocks."""
     for k, data in enumerate(fit.stretches):
-        model, name = fit.prediction(fit.splines[k].jets(found.state.paths[k]), fit.p).values, names[data.log]
+        model, name = fit.prediction.values(fit.splines[k].jets(found.state.paths[k]), fit.p), names[data.log]
         residual, _ = fit.residuals(found.state, k)
         lags, wrong, explained = list[float](), list[str](), True
         for channel, quantity in enumerate(fit.prediction.quantities[: fit.prediction.inputs]):

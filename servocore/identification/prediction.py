@@ -13,6 +13,7 @@ import numpy as np
 from servocore.effects.position_loops import is_position, reported
 from servocore.model.quantity import Quantity
 from servocore.model.system import reference_symbols
+from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
@@ -75,19 +76,26 @@ class Prediction:
 
     def wrapped(self, differences: Array, first: int = 0) -> Array:
         """Return differences (N, channels from `first`) with those of angles between half a turn to both sides."""
-        turns = [quantity.wraps for quantity in self.quantities[first:]]
-        return np.where(turns, np.angle(np.exp(1j * differences)), differences)
+        return np.where([each.wraps for each in self.quantities[first:]], wrapped_angle(differences), differences)
 
     def __call__(self, jets: Array, p: Array) -> Predicted:
         """Return the channels for jets (N, orders, outputs) and all parameters."""
+        values, slopes = self._evaluated(jets, p, self.columns)
+        by_path, by_parameter = np.split(slopes.T.reshape(len(jets), -1, len(values)), [jets[0].size], axis=1)
+        by_path = np.moveaxis(by_path.reshape(*jets.shape, -1), 3, 1)
+        return Predicted(values.T, by_path, np.moveaxis(by_parameter, 2, 1))
+
+    def values(self, jets: Array, p: Array) -> Array:
+        """Return the channels (N, channels) without derivatives, which take most of the time."""
+        return self._evaluated(jets, p, None)[0].T
+
+    def _evaluated(self, jets: Array, p: Array, columns: tuple[int, ...] | None) -> list[Array]:
         flat = jets.reshape(len(jets), -1).T
-        values, slopes, residual = _explicit(self.resolved, self.measured, self.columns)(flat, p)
+        *found, residual = _explicit(self.resolved, self.measured, columns)(flat, p)
         if not (residual < LARGEST_RESIDUAL).all():  # the guess of the model is not exact: by Newton's method
             unknowns = at_instants(inversion(self.resolved.array).function, jets=jets, p=p)[0]
-            values, slopes = _implicit(self.resolved, self.measured, self.columns)(unknowns, flat, p)
-        by_path, by_parameter = np.split(slopes.T.reshape(len(jets), -1, len(values)), [jets[0].size], axis=1)
-        shaped = by_path.reshape(*jets.shape, -1)
-        return Predicted(values.T, np.moveaxis(shaped, 3, 1), np.moveaxis(by_parameter, 2, 1))
+            found = _implicit(self.resolved, self.measured, self.columns)(unknowns, flat, p)
+        return found
 
 
 def prediction_of(problem: Problem, names: Sequence[str], measured: Sequence[str] = ()) -> tuple[Prediction, Array]:
@@ -137,10 +145,10 @@ def released(resolved: ResolvedSystem) -> ResolvedSystem:
 
 
 @made_once
-def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tuple[int, ...]) -> Vectorized:
+def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tuple[int, ...] | None) -> Vectorized:
     """Compile (gamma, p) -> channels, derivatives and the residual, by the guess of the model where that is exact.
 
-    The residual is infinite for a model whose inversion is no expression.
+    The residual is infinite for a model whose inversion is no expression. There are no derivatives without columns.
     """
     expression, array, system = inversion(resolved.array).differentiable, resolved.array, resolved.system
     read = _channels(resolved, measured)
@@ -151,8 +159,8 @@ def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tupl
     else:
         unknowns, _, residual = expression(gamma, p)
         channels = read(unknowns, gamma, p)
-    slopes = ca.jacobian(channels, ca.vertcat(ca.vec(gamma), p[list(columns)]))
-    results = [ca.densify(each) for each in (channels, slopes, residual)]
+    slopes = [] if columns is None else [ca.jacobian(channels, ca.vertcat(ca.vec(gamma), p[list(columns)]))]
+    results = [ca.densify(each) for each in (channels, *slopes, residual)]
     function = ca.Function("sc_channels", [gamma, p], results, {"cse": True})
     return Vectorized(function, (True, False), None, system.name)
 
@@ -161,10 +169,9 @@ def _explicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tupl
 def _implicit(resolved: ResolvedSystem, measured: tuple[str, ...], columns: tuple[int, ...]) -> Vectorized:
     """Compile (unknowns of the derivative array, gamma, p) -> the same, by the implicit function theorem."""
     array, system = resolved.array, resolved.system
-    read = _channels(resolved, measured)
     column, gamma = array.column(array.unknowns), system.gamma[:, : array.reference_order + 1]
     given = ca.vertcat(ca.vec(gamma), system.p[list(columns)])
-    channels = read(column, gamma, system.p)
+    channels = _channels(resolved, measured)(column, gamma, system.p)
     jacobians = (ca.jacobian(each, by) for each in (channels, array.residual) for by in (column, given))
     terms = ca.Function("sc_terms", [column, gamma, system.p], [channels, *jacobians])
     symbols = [ca.MX.sym(f"x{k}", *terms.size_in(k)) for k in range(3)]
@@ -196,13 +203,10 @@ def information(prediction: Prediction, jets: Array, step: float, p: Array, scal
     predicted = prediction(jets, p)
     rows = predicted.by_parameter[:, :m] * scales / noise[:, None]
     rates = np.gradient(predicted.values[:, :m], step, axis=0) / noise
-    total = np.zeros((len(scales), len(scales)))
-    for k in range(m):
-        nuisance = np.column_stack([np.full(len(jets), 1.0 / noise[k]), rates[:, k]])
-        inner = nuisance.T @ nuisance + np.diag([0.0, 1.0 / DELAY**2])
-        mixed = nuisance.T @ rows[:, k]
-        total += rows[:, k].T @ rows[:, k] - mixed.T @ np.linalg.solve(inner, mixed)
-    return total
+    nuisance = np.stack([np.broadcast_to(1.0 / noise, rates.shape), rates], axis=2)
+    inner = np.einsum("nki,nkj->kij", nuisance, nuisance) + np.diag([0.0, DELAY**-2])
+    mixed, both = np.einsum("nki,nkp->kip", nuisance, rows), ([0, 1], [0, 1])
+    return np.tensordot(rows, rows, both) - np.tensordot(mixed, np.linalg.solve(inner, mixed), both)
 
 
 def showing(

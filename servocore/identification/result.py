@@ -132,7 +132,7 @@ class Identified:
         for k, (data, weight) in enumerate(zip(fit.stretches, self.estimate.weights, strict=True)):
             predicted = fit.predicted(self.estimate.state, k)
             rates = np.gradient(predicted.values[:, m : m + len(self._inputs)], data.t, axis=0)
-            residual, counted = fit.residuals(self.estimate.state, k, predicted)[0], used(data, weight.factors)
+            residual, counted = fit.residuals(self.estimate.state, k, predicted.values)[0], used(data, weight.factors)
             parts.append((residual, counted, np.where(fit.creeping(k, predicted), 0.0, rates)))
         return parts
 

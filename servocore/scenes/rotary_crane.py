@@ -34,6 +34,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
@@ -170,7 +171,7 @@ def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str,
     The times must increase. Between two instants a turn of phi by more than a right angle counts as a crossing.
     """
     answer = closed_form(reference, parameters)
-    jumps = np.abs(np.angle(np.exp(1j * np.diff(answer["phi"])))) > np.pi / 2
+    jumps = np.abs(wrapped_angle(np.diff(answer["phi"]))) > np.pi / 2
     sign = np.concatenate([[1.0], np.cumprod(np.where(jumps, -1.0, 1.0))])
     angle = np.unwrap(answer["phi"] + np.where(sign < 0.0, np.pi, 0.0))
     return {**answer, "s": sign * answer["s"], "F": sign * answer["F"], "phi": angle}
