@@ -19,7 +19,7 @@ from present import present
 from thinned import thinned
 
 import servocore as sc
-from benchmarks.atlas.row06_singular_configurations import near_slack
+from benchmarks.atlas.row06_singular_configurations import near_horizontal, near_slack
 from servocore.certificate import proof
 from servocore.certificate.certify import Certificate
 from servocore.certificate.proof import Proof
@@ -167,6 +167,26 @@ def test_a_pole_that_no_proof_passes_is_refuted_by_what_is_joined_before_it() ->
     assert abs(value) > 2.0 * np.abs(solution["M_b"]).max()
     assert np.isfinite(certificate.tube([time])["M_b"]).all()
     assert np.isinf(certificate.tube([scene.reference.end_time])["M_b"]).all()  # perhaps of another branch
+
+
+NEAR_POLES = ((near_slack, 1e-4), *((near_horizontal, angle) for angle in (1.0, 0.5, 0.2)))
+
+
+@pytest.mark.parametrize(("approach", "distance"), NEAR_POLES)
+@pytest.mark.parametrize("most", [60, pytest.param(proof._MOST, marks=pytest.mark.nightly)])
+def test_a_pole_is_refuted_in_its_step_though_a_winch_turns_too_far_for_the_whole_run(
+    approach: Callable[[float], sc.Scene], distance: float, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(proof, "_MOST", most)
+    scene = approach(distance)
+    step = scene.reference.duration / 200
+    with pytest.warns(sc.ServocoreWarning):
+        solution = sc.solve(scene, sc.Reduced(), sc.BackwardEuler(), step=step, model="bodies")
+    statement = next(each for each in sc.certify(solution, tolerance=0.05).statements if each.verdict == "refuted")
+    name, time = statement.what.split()[0], present(statement.time)
+    value = float(statement.sentence.split()[2])
+    assert value == pytest.approx(scene.exact(np.array([time]))[name][0], rel=1e-3)
+    assert abs(value) > 2.0 * np.abs(solution[name]).max()
 
 
 def test_inputs_that_jump_are_listed_and_the_motion_is_proved() -> None:

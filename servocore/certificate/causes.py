@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
-from servocore.certificate.chebyshev import arithmetic, model_of
+from servocore.certificate.chebyshev import Places, arithmetic, model_of
 from servocore.certificate.equations import block_signs, equations_of, given_models, radii
-from servocore.certificate.proof import REACH, Proof, smallest_peaks
-from servocore.certificate.statements import DEFINITE, Statement, claims_of, known, walk_of_limits
+from servocore.certificate.proof import REACH, PartialProof, Proof, smallest_peaks
+from servocore.certificate.statements import DEFINITE, Claim, Statement, claims_of, known, stated, walk_of_limits
+from servocore.numerics.compiled_calls import Array
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import unknowns_near
+from servocore.structure.derivative_array import DerivativeArray
 
 _MOTION, _BRANCH, _SMOOTH = (
     "one motion, regular at all times", "one branch from the beginning to the end", "path smooth enough for the motion"
 )  # fmt: skip
 _SMALL = 2e-2  # of its peak: a quantity that comes to its bound
 _NEAR, _SHORT = 0.05, 1e-2  # of the duration
+_PARTS = 20  # of a step that is proved by itself
 _TIMES, _NONE = 10.0, 1e-6  # times the change that rates explain; of a peak: less is no jump
 
 
@@ -87,10 +92,7 @@ def _singular(proof: Proof, solution: Solution | None) -> Statement | None:
     given, D = given_models(problem, array, ring, np.stack([t, t]), {}), np.tile(REACH * peaks, len(t))
     rho, *_ = radii(equations, ring, x[None], given, D, peaks)
     near = (rho <= D)[equations.curved].all(axis=0) & np.isfinite(rho).all(axis=0)
-    for k, (j, order) in enumerate(array.unknowns):
-        name = array.names[j].partition(".")[2]
-        if order == 0 and name in solution:
-            near &= np.abs(solution[name] - x[k]) <= D[k]
+    near &= _meets(array, solution, np.arange(len(t)), x, D)
     t, balls = t[near], np.concatenate([model_of(x[None], rho), given], axis=1)[..., near]
     if not len(t) or equations.steps(ring, balls).shape[1]:
         return None
@@ -102,6 +104,37 @@ def _singular(proof: Proof, solution: Solution | None) -> Statement | None:
                 text += f" changes its sign, in the equations of {equations.around(block)}"
                 return Statement(_MOTION, "refuted", text, float(t[a]))
     return None
+
+
+def _meets(array: DerivativeArray, solution: Solution, at: Places, x: Array, D: Array) -> npt.NDArray[np.bool_]:
+    """Return at which instants of a solution, by number, what it reports of the unknowns is within D of x (size, N)."""
+    meets = np.ones(len(at), dtype=bool)
+    for k, (j, order) in enumerate(array.unknowns):
+        name = array.names[j].partition(".")[2]
+        if order == 0 and name in solution:
+            meets &= np.abs(solution[name][at] - x[k]) <= D[k]
+    return meets
+
+
+def hidden(proof: Proof, solution: Solution, spikes: Sequence[Claim]) -> list[Statement]:
+    """Refute that an input is nowhere far beyond its values at instants, in the step where its answers are largest.
+
+    What it depends on is proved there alone, from the instant before, where it meets what the solution reports.
+    """
+    problem, t, found = proof.problem, solution.t, list[Statement]()
+    begin, end, nodes = proof.begin, proof.end, proof.ring.nodes
+    rows = zip(proof.equations.inputs, problem.array.inputs, spikes, strict=False)  # no spikes for a box
+    for own, unknown, claim in rows:
+        values = np.nan_to_num(np.abs(proof.ring.values(proof.x[:, [own]])[:, 0]))
+        node, k = np.unravel_index(int(values.argmax()), values.shape)
+        time = (begin[k] + end[k] + (end[k] - begin[k]) * nodes[node, 0]) / 2.0
+        step = np.clip(np.searchsorted(t, [time], side="right") - 1, 0, len(t) - 2)
+        grid = np.linspace(t[step[0]], t[step[0] + 1], _PARTS + 1)
+        part = PartialProof(problem, unknown, proof.tolerance, grid)
+        (early,), _ = part.ring.ends(part.x)
+        if _meets(part.equations.array, solution, step, early[:, :1], part.D[:, :1]).all():
+            found += [each for each in stated(part, [claim]) if each.verdict == "refuted"]
+    return found
 
 
 def _undecided(proof: Proof) -> Statement:

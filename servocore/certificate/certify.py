@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from servocore.certificate.causes import jumps_of, motion_statements
+from servocore.certificate.causes import hidden, jumps_of, motion_statements
 from servocore.certificate.equations import Box
 from servocore.certificate.internal import near_states
 from servocore.certificate.proof import Proof
@@ -202,6 +202,8 @@ def certify(
             bounds, of_instants, spikes = compared(proof, solution, tolerance)
             statements, wanted = statements + of_instants, spikes + wanted
         statements += stated(proof, wanted, jumps)
+        if solution is not None and worst(statements).verdict == "undecided" and not proof.joined.all():
+            statements = hidden(proof, solution, spikes) + statements
     timed = tuple(replace(each, begin=path.start_time, end=path.end_time) for each in statements)
     intervals = np.stack([proof.begin, proof.end], axis=1)[proof.within] if proof else np.zeros((0, 2))
     return Certificate(problem.name, timed, bounds, intervals, jumps, proof)

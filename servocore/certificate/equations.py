@@ -32,7 +32,7 @@ from servocore.numerics.components import Part, places_of, triangular_blocks
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS, computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
-from servocore.structure.derivative_array import DerivativeArray, differentiated_once_more
+from servocore.structure.derivative_array import DerivativeArray, determining, differentiated_once_more
 
 Box: TypeAlias = Mapping[int, tuple[float, float]]
 """Intervals of parameters, by their numbers."""
@@ -62,11 +62,17 @@ class Equations:
         Whether the derivatives of the unknowns by the states are unknowns too, column by column behind the others.
     whole : bool
         Whether all unknowns are in one block: radii of many blocks add up from each to the next.
+    of : int, optional
+        Number of an unknown, of whose equations alone these are; all when not given.
 
     Attributes
     ----------
     array : DerivativeArray
         The array.
+    answering : DerivativeArray
+        The one whose inversion answers.
+    answered : list of int
+        Places of the unknowns among its own.
     symbols : casadi.SX
         Unknowns, states of the internal dynamics, path with its derivatives, parameters, time: arguments of the walks.
     steps : Walk
@@ -94,8 +100,12 @@ class Equations:
         From the entries of Y and of J to those of I - Y J, and from those of Y and of r to Y r.
     """
 
-    def __init__(self, resolved: ResolvedSystem, raised: bool, varied: bool = False, whole: bool = False) -> None:
-        array = self.array = differentiated_once_more(resolved.array) if raised else resolved.array
+    def __init__(
+        self, resolved: ResolvedSystem, raised: bool, varied: bool = False, whole: bool = False, of: int | None = None
+    ) -> None:
+        self.answering = differentiated_once_more(resolved.array) if raised else resolved.array
+        array = self.array = self.answering if of is None else determining(self.answering, of)
+        self.answered = self.answering.places(array.determined)
         x, gamma = array.column(array.determined), ca.vec(array.system.gamma[:, : array.reference_order + 1])
         s, (residual, names, steps) = array.column(array.states), _without_steps(array.residual)
         if varied:
@@ -113,7 +123,7 @@ class Equations:
         self.motion = [k for k, (j, order) in enumerate(array.determined) if j < n and order < 2]
         self.switching = ca.jacobian_sparsity(steps, x).get_col()
         first = len(array.names) - len(array.system.inputs)
-        self.inputs = [array.determined.index((j, 0)) for j in range(first, len(array.names))]
+        self.inputs = [k for k, (j, order) in enumerate(array.determined) if j >= first and not order]
         bent = ca.jacobian_sparsity(J.nz[:], x).get_col()
         either = ([*self.switching, *some] for some in (self.motion, bent))
         self.steady, self.curved = (np.isin(np.arange(x.numel()), some) for some in either)
@@ -121,7 +131,7 @@ class Equations:
         self.free = ~self.curved | ~np.isin(np.arange(x.numel()), held)
         size, every_one = x.numel(), np.arange(x.numel())
         one = Part(every_one, every_one, np.arange(J.nnz()), places_of(J.sparsity()))
-        self.blocks = (one,) if whole else triangular_blocks(J.sparsity())[::-1]
+        self.blocks = (one,) if whole else triangular_blocks(J.sparsity())
         self.sizes = np.array([len(each.rows) ** 2 for each in self.blocks])
         self.block, begins = np.zeros(size, dtype=int), (np.cumsum(self.sizes) - self.sizes).tolist()
         Y, entries, r = (ca.SX.sym(name, n) for name, n in (("Y", self.sizes.sum()), ("J", J.nnz()), ("r", size)))

@@ -111,7 +111,7 @@ class Proof:
         self.boxed, self.ring = boxed, arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
         self._narrow = tolerance if boxed else _NARROW * tolerance
         self._begin(problem, equations_of(problem.resolved, raised), tolerance, np.array(grid))
-        machine_code(self.equations.array).best(1)
+        machine_code(self.equations.answering).best(1)
         self._refine()
         self.joints = self._joints()
         for step in (1, -1):
@@ -246,7 +246,7 @@ class Proof:
 
     def _answer(self, some: Mask, beside: int | None = None) -> None:
         """Answer at the nodes, by the guess of the model, or by Newton's method from the motion beside an interval."""
-        array, ring = self.equations.array, self.ring
+        array, ring = self.equations.answering, self.ring
         given = given_models(self.problem, array, ring, np.stack([self.begin, self.end])[:, some], self.boxed)
         values = np.moveaxis(ring.values(given), 2, 0).reshape(-1, given.shape[1])
         count, outputs = len(values), array.system.gamma.size1()
@@ -259,7 +259,7 @@ class Proof:
             points[:, 0] = (2.0 * values[:, -1] - begin - end) / (end - begin)
             arguments.append((ring.rows(points) @ self.x[:-1, :, beside]).T)
         x, _, residual = (each.reshape(-1, count, order="F") for each in mapped(function, count)(*arguments))
-        x = np.where(np.isfinite(residual.max(axis=0)), x, np.nan)
+        x = np.where(np.isfinite(residual.max(axis=0)), x[self.equations.answered], np.nan)
         self.x[..., some] = self._interpolated(np.moveaxis(x.reshape(len(x), -1, len(ring.nodes)), 2, 0))
         self.given[..., some] = given
         self.tested[some], self.relative[some] = ~self.solved[some], np.inf
@@ -341,6 +341,29 @@ class Proof:
         conditions.append(fits[:, motion].all(axis=1).any(axis=0))
         kinds = ["not proved", "motion jumps", "one branch", "apart", "inputs jump"]
         return np.select(conditions, kinds, "apart").tolist()  # type: ignore[no-any-return]  # NumPy's stubs
+
+
+class PartialProof(Proof):
+    """The motion of one input, and of what it depends on, on a part of the path.
+
+    Parameters
+    ----------
+    problem : Problem
+        Without internal dynamics.
+    unknown : int
+        Number of the input among the unknowns.
+    tolerance : float
+        Of the input, as a share of its peak there.
+    grid : ndarray
+        Ends of the intervals to begin with, in s.
+    """
+
+    @np.errstate(all="ignore")  # what is not finite is not proved
+    def __init__(self, problem: Problem, unknown: int, tolerance: float, grid: Array) -> None:
+        self.boxed, self.ring, self._narrow = {}, arithmetic((_DEGREE,)), _NARROW * tolerance
+        self._begin(problem, equations_of(problem.resolved, False, of=unknown), tolerance, grid)
+        self._refine()
+        self.joints = self._joints()
 
 
 @made_once

@@ -23,6 +23,7 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.components import places_of, triangular_blocks
 from servocore.numerics.constraint_ranks import pivot_columns
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.memoization import made_once
@@ -134,6 +135,20 @@ def differentiated_once_more(array: DerivativeArray) -> DerivativeArray:
     structure = array.signature
     c, d = (tuple(each + 1 for each in some) for some in (structure.equation_offsets, structure.variable_offsets))
     return _differentiated(array.system, replace(structure, equation_offsets=c, variable_offsets=d))
+
+
+def determining(array: DerivativeArray, unknown: int) -> DerivativeArray:
+    """Return the equations that determine an unknown, by its number, with all their unknowns: square as well."""
+    pattern = ca.jacobian_sparsity(array.residual, array.column(array.unknowns))
+    rows, columns = places_of(pattern)
+    needed, kept = {unknown}, np.zeros(len(array.rows), dtype=bool)
+    for part in reversed(triangular_blocks(pattern)):
+        if needed.intersection(part.columns.tolist()):
+            kept[part.rows] = True
+            needed.update(columns[np.isin(rows, part.rows)].tolist())
+    places = np.flatnonzero(kept).tolist()
+    unknowns, own = (tuple(of[k] for k in at) for of, at in ((array.unknowns, sorted(needed)), (array.rows, places)))
+    return replace(array, unknowns=unknowns, rows=own, residual=array.residual[places])
 
 
 def _differentiated(system: MechanicalSystem, structure: Signature) -> DerivativeArray:
