@@ -32,7 +32,7 @@ from servocore.numerics.components import Part, places_of, triangular_blocks
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS, computed, holds_any, rebuilt
 from servocore.problem import Problem, ResolvedSystem
-from servocore.structure.derivative_array import DerivativeArray, determining, differentiated_once_more
+from servocore.structure.derivative_array import DerivativeArray, determining, differentiated_once_more, jacobian
 
 Box: TypeAlias = Mapping[int, tuple[float, float]]
 """Intervals of parameters, by their numbers."""
@@ -116,7 +116,8 @@ class Equations:
         self.symbols = ca.vertcat(x, s, gamma, array.system.p, ca.SX.sym("t"))
         if varied:
             self.flow = Walk(ca.vertcat(rates, ca.vec(slopes)), self.symbols)
-        every, J = ca.vertcat(self.symbols, names), ca.jacobian(residual, x)
+        every, jumps = ca.vertcat(self.symbols, names), names.numel() > 0
+        J = ca.jacobian(residual, x) if varied or jumps else jacobian(array, array.determined)
         self.steps, self.residual = Walk(steps, self.symbols), Walk(residual, every)
         self.jacobian = Walk(J.nz[:], every)
         n = len(array.system.coordinates)

@@ -14,7 +14,8 @@ highest derivatives (`servocore.structure.linear_combination`).
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -158,19 +159,11 @@ def _differentiated(system: MechanicalSystem, structure: Signature) -> Derivativ
     # One symbol each, named with primes, so that printed expressions are readable.
     symbols = [ca.SX.sym(name + "'" * order) for order in range(orders) for name in equations.names]
     y = ca.reshape(ca.vertcat(*symbols), len(d), orders)
-    current = ca.substitute(equations.residual, equations.y, y[:, : equations.y.size2()])
+    first = ca.substitute(equations.residual, equations.y, y[:, : equations.y.size2()])
     rows: list[tuple[int, int]] = []
     residual: list[ca.SX] = []
     gamma = system.gamma
-    active = list(range(len(c)))
-    for order in range(max(c) + 1):
-        keep = [k for k, i in enumerate(active) if c[i] >= order]
-        active, current = [active[k] for k in keep], current[keep]
-        if order:
-            current = time_derivative(current, y, gamma)
-            if system.time.numel():  # the rate of the time is constant: no higher derivatives of the path are needed
-                later = gamma[-1, 2:]
-                current = ca.substitute(current, later, ca.SX.zeros(later.shape))
+    for order, (active, current) in enumerate(_rates(system, c, y, first)):
         rows += [(i, order) for i in active]
         residual.append(current)
         if ca.n_nodes(current) > _MOST_NODES:
@@ -186,6 +179,37 @@ def _differentiated(system: MechanicalSystem, structure: Signature) -> Derivativ
         reference_order=highest_derivative(equations_of_all_orders, gamma),
         states=choose_states(structure, jacobians(structure)[0]) if structure.degrees_of_freedom else (),
     )
+
+
+def _rates(system: MechanicalSystem, c: tuple[int, ...], y: ca.SX, current: ca.SX) -> Iterator[tuple[list[int], ca.SX]]:
+    """Yield derivatives by time of a matrix of one row for each equation: the equations left, and their rows."""
+    active = list(range(len(c)))
+    for order in range(max(c) + 1):
+        keep = [k for k, i in enumerate(active) if c[i] >= order]
+        active, current = [active[k] for k in keep], current[keep, :]
+        if order:
+            current = time_derivative(current, y, system.gamma)
+            if system.time.numel():  # the rate of the time is constant: no higher derivatives of the path are needed
+                later = system.gamma[-1, 2:]
+                current = ca.substitute(current, later, ca.SX.zeros(later.shape))
+        yield active, current
+
+
+def jacobian(array: DerivativeArray, unknowns: tuple[tuple[int, int], ...]) -> ca.SX:
+    """Return the Jacobian of the residual in `unknowns`, by Leibniz' rule: its entries share their expressions.
+
+    With D the derivative by time, df^(r)/dy^(m) is the sum of binomial(r, k) D^(r-k) df/dy^(m-k) over k.
+    """
+    c, y, blocks = array.signature.equation_offsets, ca.vec(array.y), list[ca.SX]()
+    height, first = array.y.size1(), ca.jacobian(array.residual[: len(c)], y)
+    slopes = [(active, ca.sparsify(each)) for active, each in _rates(array.system, c, array.y, first)]
+    for order, (active, _) in enumerate(slopes):
+        block = ca.SX(len(active), y.numel())
+        for k, (rows, each) in enumerate(reversed(slopes[: order + 1])):
+            of_active = each[[rows.index(i) for i in active], : y.numel() - height * k]
+            block += math.comb(order, k) * ca.horzcat(ca.SX(len(active), height * k), of_active)
+        blocks.append(block)
+    return ca.vertcat(*blocks)[:, [order * height + j for j, order in unknowns]]
 
 
 def choose_states(structure: Signature, J: Array) -> tuple[tuple[int, int], ...]:
