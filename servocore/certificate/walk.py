@@ -7,6 +7,8 @@ where that may come to zero.
 
 from __future__ import annotations
 
+import math
+import threading
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
@@ -15,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.certificate.chebyshev import LANES, MINUS, PLUS, TIMES, Arithmetic, Model, bounded, carry_out, magnitude
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.step_operations import computed, operations_of, rebuilt
 
 Rule: TypeAlias = Callable[..., Model]
@@ -22,6 +25,21 @@ _Functions: TypeAlias = defaultdict[Rule, dict[tuple[int, ...], int]]
 """Of each rule the places of results by those of their arguments."""
 
 _ROUNDED = 1e-9  # of a condition
+
+
+class _Workspace(threading.local):
+    """Memory for models, the same for all walks of a thread: pages of fresh memory take as long as operations."""
+
+    def __init__(self) -> None:
+        self._numbers = np.empty(1 << 21)  # pages that are never used take no memory
+
+    def of(self, *shape: int) -> Array:
+        """Return an array of any values, valid until the next call."""
+        size = math.prod(shape)
+        return self._numbers[:size].reshape(shape) if size <= len(self._numbers) else np.empty(shape)
+
+
+_workspace = _Workspace()
 
 
 class Walk:
@@ -39,8 +57,7 @@ class Walk:
     """
 
     def __init__(self, expression: ca.SX, symbols: ca.SX) -> None:
-        self._depth: list[int] = []
-        self._arguments = defaultdict[int, int](self._place)
+        self._depth = [0] * symbols.numel()  # the arguments have the first places
         self._constants = defaultdict[float, int](self._place)
         self._steps = defaultdict[int, list[tuple[int, ...]]](list)
         self._functions = defaultdict[int, _Functions](lambda: defaultdict(dict))
@@ -52,10 +69,10 @@ class Walk:
             elif number == ca.OP_CONST:
                 place_of[out[0]] = self._constants[constant]
             elif number == ca.OP_INPUT:
-                place_of[out[0]] = self._arguments[used[1]]
+                place_of[out[0]] = used[1]
             else:
                 place_of[out[0]] = self._operation(number, [place_of[each] for each in used])
-        self._outputs = [outputs[k] for k in sorted(outputs)]
+        self._outputs = np.array([outputs[k] for k in sorted(outputs)], dtype=np.intp)
         self._values = np.array([*self._constants])[:, None]
         self._programs = [
             np.array(self._steps[k], dtype=np.intp).reshape(-1, 4) for k in range(max(self._depth, default=0) + 1)
@@ -67,9 +84,9 @@ class Walk:
         boxes = arguments.shape[2]
         if boxes < LANES:  # the last box is repeated
             arguments = arguments[..., np.minimum(np.arange(LANES), boxes - 1)]
-        places = np.empty((len(self._depth), *arguments.shape[::2]))
+        places = _workspace.of(len(self._depth), *arguments.shape[::2])
         models = places.swapaxes(0, 1)
-        models[:, [*self._arguments.values()]] = arguments[:, [*self._arguments]]
+        models[:, : arguments.shape[1]] = arguments
         models[:, [*self._constants.values()]] = ring.constant(self._values)
         for depth, steps in enumerate(self._programs):
             for rule, results in self._functions[depth].items():
