@@ -126,6 +126,7 @@ def test_machine_code_and_numpy_carry_out_alike(degrees: tuple[int, ...], monkey
     rng, terms, places = np.random.default_rng(4), len(arithmetic(degrees).nodes), 9
     steps = np.array([[int(rng.integers(3)), 4 + k, *rng.integers(0, 4 + k, 2)] for k in range(places - 4)])
     models = np.abs(rng.normal(size=(places, terms + 1, 37)))
+    models[1, 1:-1] = models[2, terms // 2 : -1] = 0.0  # a constant and a lower degree
     native, plain = models.copy(), models.copy()
     for run, results in ((present(chebyshev.machine_code().best(1)), native), (None, plain)):
         monkeypatch.setattr(chebyshev, "machine_code", lambda run=run: SimpleNamespace(best=lambda _: run))

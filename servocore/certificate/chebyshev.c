@@ -1,86 +1,130 @@
 /* Sums, differences and products of Chebyshev models, LANES boxes side by side.
 
-   A model is an array of rows, one per coefficient and one with the radius, of one number per box. Pairs with a
-   coefficient that is zero in all lanes, as of what does not depend on a parameter, are left out. The bounds are those
-   of chebyshev.py. */
+   A model is an array of rows, one per coefficient and one with the radius, of one number per box. Zeros in all lanes,
+   as coefficients of what does not depend on a parameter or of a constant, are left out. The bounds are those of
+   chebyshev.py. */
 
 #include <stddef.h>
 
 #define LANES 16
-#define EACH for (whole l = 0; l < LANES; ++l)
+#define WIDE 4
+
+/* All lanes of a row in WIDE-fold pieces, written out: sums of rows stay in registers. */
+#define EACH _Pragma("GCC unroll 4") for (int l = 0; l < LANES / WIDE; ++l)
 
 typedef ptrdiff_t whole; /* as NumPy's intp */
+typedef double piece __attribute__((vector_size(8 * WIDE), aligned(8), may_alias));
+typedef long long bits __attribute__((vector_size(8 * WIDE), aligned(8), may_alias));
 
 static const double UNIT = 2.3e-16, UP = 1.0 + 1e-14, TINY = 1e-290;
 
-static double magnitude(double x) { return x < 0.0 ? -x : x; }
+#define MAGNITUDE(x) ((piece)((bits)(x) & 0x7fffffffffffffffLL))
 
 /* Rows of a model are `apart` numbers apart. */
+#define ROW(a, k) ((const piece *)((a) + (k) * apart))
 
-static void norm(whole terms, whole apart, const double *a, double *restrict sum)
+static void add(whole terms, whole apart, double sign, const double *a, const double *b, double *to)
 {
-    EACH sum[l] = 0.0;
-    for (whole k = 0; k < terms; ++k)
-        EACH sum[l] += magnitude(a[k * apart + l]);
-}
-
-static void add(whole terms, whole apart, double sign, const double *a, const double *b, double *restrict to)
-{
-    double size[LANES];
-    const double *r = a + terms * apart, *s = b + terms * apart;
-    for (whole k = 0; k < terms * apart; k += apart)
-        EACH to[k + l] = a[k + l] + sign * b[k + l];
-    norm(terms, apart, to, size);
-    EACH to[terms * apart + l] = (r[l] + s[l] + UNIT * size[l]) * UP;
+    piece size[LANES / WIDE] = {{0.0}};
+    const piece *r = ROW(a, terms), *s = ROW(b, terms);
+    piece *radius = (piece *)ROW(to, terms);
+    for (whole k = 0; k < terms; ++k) {
+        const piece *x = ROW(a, k), *y = ROW(b, k);
+        piece *z = (piece *)ROW(to, k);
+        EACH {
+            z[l] = x[l] + sign * y[l];
+            size[l] += MAGNITUDE(z[l]);
+        }
+    }
+    EACH radius[l] = (r[l] + s[l] + UNIT * size[l]) * UP;
 }
 
 static int used(const double *row)
 {
     int any = 0;
-    EACH any |= row[l] != 0.0;
+    for (int l = 0; l < LANES; ++l) any |= row[l] != 0.0;
     return any;
 }
 
-static void multiply(const whole *tape, whole apart, const double *a, const double *b, double *restrict results,
-                     double *restrict to)
+static whole used_terms(whole terms, whole apart, const double *a)
 {
-    double x[LANES], z[LANES], size_a[LANES], size_b[LANES], beyond[LANES], off[LANES] = {0.0};
+    while (terms && !used(a + (terms - 1) * apart)) --terms;
+    return terms;
+}
+
+/* In time alone: c_k = sum over i of a_i (h_|k-i| + h_(k+i)), where h is b with all coefficients but the first halved;
+   c_0 is half of that sum. */
+static void multiply_in_time(whole terms, whole apart, const double *a, const double *b, piece *h, piece *results)
+{
+    whole m = used_terms(terms, apart, a), n = used_terms(terms, apart, b);
+    for (whole j = 0; j < n; ++j)
+        EACH h[j * LANES / WIDE + l] = (j ? 0.5 : 1.0) * ROW(b, j)[l];
+    for (whole k = 0; k < 2 * terms - 1; ++k) {
+        piece sum[LANES / WIDE] = {{0.0}};
+        for (whole i = m < k + n ? m - 1 : k + n - 1; i >= 0 && i > k - n; --i) {
+            const piece *x = ROW(a, i), *y = h + (i < k ? k - i : i - k) * LANES / WIDE, *z = h + (k + i) * LANES / WIDE;
+            if (k + i < n)
+                EACH sum[l] += x[l] * (y[l] + z[l]);
+            else
+                EACH sum[l] += x[l] * y[l];
+        }
+        EACH results[k * LANES / WIDE + l] = (k ? 1.0 : 0.5) * sum[l];
+    }
+}
+
+static void multiply_by_places(const whole *tape, whole apart, const double *a, const double *b, piece *results)
+{
     const whole terms = tape[0], targets = tape[1], full = tape[2], *table = tape + 4;
-    const double *r = a + terms * apart, *s = b + terms * apart;
-    double share = 1.0 / targets, added = tape[3];
-    for (whole k = 0; k < full * LANES; ++k) results[k] = 0.0;
+    for (whole k = 0; k < full; ++k)
+        EACH results[k * LANES / WIDE + l] = (piece){0.0};
     for (whole i = terms - 1; i >= 0; --i) {
-        const double *left = a + i * apart;
-        if (!used(left)) continue;
-        EACH x[l] = share * left[l];
-        EACH off[l] += (1.0 + added * (i + 1)) * UNIT / 2.0 * magnitude(left[l]);
+        if (!used(a + i * apart)) continue;
         for (whole j = 0; j < terms; ++j) {
-            const double *right = b + j * apart;
-            const whole *place = table + (i * terms + j) * targets;
-            if (targets > 2 && !used(right)) continue;
-            EACH z[l] = x[l] * right[l];
+            piece z[LANES / WIDE];
+            if (!used(b + j * apart)) continue;
+            EACH z[l] = 1.0 / targets * ROW(a, i)[l] * ROW(b, j)[l];
             for (whole k = 0; k < targets; ++k) {
-                double *at = results + place[k] * LANES;
+                piece *at = results + table[(i * terms + j) * targets + k] * LANES / WIDE;
                 EACH at[l] += z[l];
             }
         }
     }
-    for (whole k = 0; k < terms; ++k)
-        EACH to[k * apart + l] = results[k * LANES + l];
-    norm(full - terms, LANES, results + terms * LANES, beyond);
-    norm(terms, apart, a, size_a);
-    norm(terms, apart, b, size_b);
+}
+
+static void multiply(const whole *tape, whole apart, const double *a, const double *b, piece *results, double *to)
+{
+    const whole terms = tape[0], full = tape[2];
+    const piece *r = ROW(a, terms), *s = ROW(b, terms);
+    piece size_a[LANES / WIDE] = {{0.0}}, size_b[LANES / WIDE] = {{0.0}}, beyond[LANES / WIDE] = {{0.0}};
+    piece off[LANES / WIDE] = {{0.0}}, *last = (piece *)ROW(to, terms);
+    if (tape[1] == 2)
+        multiply_in_time(terms, apart, a, b, results + full * LANES / WIDE, results);
+    else
+        multiply_by_places(tape, apart, a, b, results);
+    for (whole k = 0; k < terms; ++k) {
+        double rounded = (1.0 + tape[3] * (k + 1)) * UNIT / 2.0;
+        piece *z = (piece *)ROW(to, k);
+        EACH {
+            z[l] = results[k * LANES / WIDE + l];
+            size_a[l] += MAGNITUDE(ROW(a, k)[l]);
+            size_b[l] += MAGNITUDE(ROW(b, k)[l]);
+            off[l] += rounded * MAGNITUDE(ROW(a, k)[l]);
+        }
+    }
+    for (whole k = terms; k < full; ++k)
+        EACH beyond[l] += MAGNITUDE(results[k * LANES / WIDE + l]);
     EACH {
-        double crossed = size_a[l] * s[l] + size_b[l] * r[l] + r[l] * s[l];
-        double radius = (beyond[l] + off[l] * size_b[l] + crossed) * UP;
-        to[terms * apart + l] = radius + (radius > 0.0 ? TINY : 0.0);
+        piece crossed = size_a[l] * s[l] + size_b[l] * r[l] + r[l] * s[l];
+        piece radius = (beyond[l] + off[l] * size_b[l] + crossed) * UP;
+        last[l] = radius + (piece)((bits)(TINY + (piece){0.0}) & (bits)(radius > 0.0));
     }
 }
 
 /* The tape has the numbers of terms, of results of a pair of coefficients, of all results and of most additions to one
-   with a coefficient of a, and the places of the results, those within the degrees first. A step is an operation, the
-   place of its result and those of its arguments among the models, an array (places, rows, boxes). There are LANES boxes
-   at least; some of the last are computed twice, as no step overwrites an argument. */
+   with a coefficient of a, and the places of the results, those within the degrees first; there is room for all results
+   and the coefficients of one model. A step is an operation, the place of its result and those of its arguments among
+   the models, an array (places, rows, boxes). There are LANES boxes at least; some of the last are computed twice, as no
+   step overwrites an argument. */
 void sc_run(const whole *tape, const whole *steps, double *models, double *results, whole count, whole boxes)
 {
     whole terms = tape[0], size = (terms + 1) * boxes;
@@ -91,7 +135,7 @@ void sc_run(const whole *tape, const whole *steps, double *models, double *resul
             if (step[0] < 2)
                 add(terms, boxes, step[0] ? -1.0 : 1.0, a, b, to);
             else
-                multiply(tape, boxes, a, b, results, to);
+                multiply(tape, boxes, a, b, (piece *)results, to);
         }
     }
 }

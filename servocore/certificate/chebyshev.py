@@ -129,7 +129,8 @@ class Arithmetic:
         Products are added up from the last coefficient of a to the first, so that large partial sums come last. Each of
         the results takes at most 3^variables products with a coefficient of a: one whose orders add up to its own, two
         whose orders differ by it. An addition is off by a unit of the partial sum (Higham, *Accuracy and Stability*,
-        section 4.2), and all partial sums together are at most the sum of the |a_k| so far times |b|_1.
+        section 4.2), and all partial sums together are at most the sum of the |a_k| so far times |b|_1. In time alone
+        machine code adds such pairs of b first: their product is rounded twice, and added once.
         """
         return (1.0 + 3.0 ** len(self.degrees) * np.arange(1.0, self.orders.shape[1] + 1.0)) * UNIT / 2.0
 
@@ -376,7 +377,7 @@ def carry_out(steps: Places, ring: Arithmetic, models: Array) -> None:
     boxes = models.shape[2]
     run = machine_code().best(len(steps) * boxes) if boxes >= LANES else None
     if run is not None:
-        results = np.empty(ring.tape[2] * LANES)
+        results = np.empty((ring.tape[0] + ring.tape[2]) * LANES)
         run(ring.tape.ctypes.data, steps.ctypes.data, models.ctypes.data, results.ctypes.data, len(steps), boxes)
         return
     rules = [summed, lambda a, b: summed(a, b, -1.0), ring.multiplied]  # of PLUS, MINUS and TIMES
