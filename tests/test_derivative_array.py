@@ -13,7 +13,7 @@ from problems import MODELS, actuated_chain, car_chain, car_chain_exact, scene
 from suite import inverted
 
 from servocore.numerics.compiled_calls import Array
-from servocore.structure.derivative_array import derivative_array
+from servocore.structure.derivative_array import derivative_array, differentiated_once_more, jacobian
 from servocore.structure.inversion import inversion
 
 
@@ -23,6 +23,17 @@ def test_it_is_square_once_the_states_are_known(name: str, model: str) -> None:
     assert len(array.determined) == len(array.rows) == array.residual.numel()
     assert len(array.unknowns) == len(array.determined) + array.signature.degrees_of_freedom
     assert len(set(array.unknowns)) == len(array.unknowns)
+
+
+@pytest.mark.parametrize(("name", "model"), MODELS)
+def test_its_jacobian_by_leibniz_rule_is_that_of_casadi(name: str, model: str) -> None:
+    array = differentiated_once_more(derivative_array(scene(name).model(model)))
+    found = jacobian(array, array.determined), ca.jacobian(array.residual, array.column(array.determined))
+    arguments = ca.vertcat(*ca.symvar(ca.veccat(*found)))
+    values = ca.Function("both", [arguments], [*found])(np.linspace(0.5, 1.5, arguments.numel()))
+    same, expected = (np.asarray(each) for each in values)
+    np.testing.assert_allclose(same, expected, rtol=1e-9, atol=1e-13 * np.abs(expected).max())
+    assert found[0].sparsity().is_subset(found[1].sparsity())
 
 
 def test_every_row_is_the_time_derivative_of_the_row_before() -> None:

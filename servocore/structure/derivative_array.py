@@ -200,16 +200,16 @@ def jacobian(array: DerivativeArray, unknowns: tuple[tuple[int, int], ...]) -> c
 
     With D the derivative by time, df^(r)/dy^(m) is the sum of binomial(r, k) D^(r-k) df/dy^(m-k) over k.
     """
-    c, y, blocks = array.signature.equation_offsets, ca.vec(array.y), list[ca.SX]()
-    height, first = array.y.size1(), ca.jacobian(array.residual[: len(c)], y)
-    slopes = [(active, ca.sparsify(each)) for active, each in _rates(array.system, c, array.y, first)]
-    for order, (active, _) in enumerate(slopes):
-        block = ca.SX(len(active), y.numel())
-        for k, (rows, each) in enumerate(reversed(slopes[: order + 1])):
-            of_active = each[[rows.index(i) for i in active], : y.numel() - height * k]
-            block += math.comb(order, k) * ca.horzcat(ca.SX(len(active), height * k), of_active)
-        blocks.append(block)
-    return ca.vertcat(*blocks)[:, [order * height + j for j, order in unknowns]]
+    c, y, height = array.signature.equation_offsets, ca.vec(array.y), array.y.size1()
+    first, place = ca.jacobian(array.residual[: len(c)], y), {row: k for k, row in enumerate(array.rows)}
+    slopes = ca.sparsify(ca.vertcat(*(each for _, each in _rates(array.system, c, array.y, first))))
+    found = ca.SX(len(place), y.numel())
+    for k in range(max(c) + 1):
+        later = [(i, order) for i, order in array.rows if order >= k]
+        part = slopes[[place[i, order - k] for i, order in later], : y.numel() - height * k]
+        binomials = ca.diag(ca.DM([math.comb(order, k) for _, order in later]))
+        found += ca.diagcat(ca.SX(len(place) - len(later), height * k), ca.mtimes(binomials, part))
+    return found[:, [order * height + j for j, order in unknowns]]
 
 
 def choose_states(structure: Signature, J: Array) -> tuple[tuple[int, int], ...]:
