@@ -62,7 +62,8 @@ static void multiply_in_time(whole terms, whole apart, const double *a, const do
     for (whole k = 0; k < 2 * terms - 1; ++k) {
         piece sum[LANES / WIDE] = {{0.0}};
         for (whole i = m < k + n ? m - 1 : k + n - 1; i >= 0 && i > k - n; --i) {
-            const piece *x = ROW(a, i), *y = h + (i < k ? k - i : i - k) * LANES / WIDE, *z = h + (k + i) * LANES / WIDE;
+            const piece *x = ROW(a, i), *z = h + (k + i) * LANES / WIDE;
+            const piece *y = h + (i < k ? k - i : i - k) * LANES / WIDE;
             if (k + i < n)
                 EACH sum[l] += x[l] * (y[l] + z[l]);
             else
