@@ -18,7 +18,7 @@ import numpy as np
 
 from servocore.certificate.chebyshev import LANES, MINUS, PLUS, TIMES, Arithmetic, Model, bounded, carry_out, magnitude
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.step_operations import computed, operations_of, rebuilt
+from servocore.numerics.step_operations import computed, holds_any, operations_of, rebuilt
 
 Rule: TypeAlias = Callable[..., Model]
 _Functions: TypeAlias = defaultdict[Rule, dict[tuple[int, ...], int]]
@@ -61,7 +61,9 @@ class Walk:
         self._constants = defaultdict[float, int](self._place)
         self._steps = defaultdict[int, list[tuple[int, ...]]](list)
         self._functions = defaultdict[int, _Functions](lambda: defaultdict(dict))
-        function = ca.Function("sc_walk", [symbols], [ca.densify(rebuilt(expression, lowered))], {"cse": True})
+        if holds_any(expression, {*_LOWERED}):
+            expression = rebuilt(expression, lowered)
+        function = ca.Function("sc_walk", [symbols], [ca.densify(expression)], {"cse": True})
         outputs, place_of = dict[int, int](), dict[int, int]()
         for number, out, used, constant in operations_of(function):  # CasADi uses places of its work vector again
             if number == ca.OP_OUTPUT:
@@ -143,6 +145,7 @@ _LOWERED: dict[int, Callable[..., ca.SX]] = {
     ca.OP_FMAX: lambda a, b: (a + b + (a - b) * ca.sign(a - b)) / 2.0, ca.OP_AND: lambda a, b: a * b,
     ca.OP_FMIN: lambda a, b: (a + b - (a - b) * ca.sign(a - b)) / 2.0, ca.OP_OR: lambda a, b: a + b - a * b,
     ca.OP_CEIL: lambda a: -computed(ca.OP_FLOOR, [-a]),
+    ca.OP_CALL: lambda *taken: computed(ca.OP_CALL, taken) + np.nan,  # of an external function: it has no bound
 }  # fmt: skip
 
 CONSTANT = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
