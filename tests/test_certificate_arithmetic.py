@@ -139,7 +139,7 @@ def test_machine_code_and_numpy_carry_out_alike(degrees: tuple[int, ...], monkey
 def test_signs_of_determinants_of_all_matrices_of_a_ball_are_right_or_not_known(n: int) -> None:
     rng, every = np.random.default_rng(n), np.arange(n * n)
     equations = SimpleNamespace(
-        blocks=[SimpleNamespace(rows=range(n))], sizes=np.array([n * n]), inside=every, own=every
+        blocks=[SimpleNamespace(rows=range(n))], sizes=np.array([n * n]), entries=[every], inside=every, own=every
     )
     C, size = rng.normal(size=(n, n, 200)), 10.0 ** rng.uniform(-18.0, 0.0, 200)
     C[0] = C[1:].sum(axis=0) + size * C[0]  # nearly singular
@@ -160,10 +160,14 @@ def test_comparisons_are_known_where_both_sides_are_equal() -> None:
     np.testing.assert_allclose([low[:, 0], high[:, 0]], [[0.0, 1.0], [0.0, 1.0]], atol=1e-9)
 
 
-@pytest.mark.parametrize("written", [lambda x: 1 / x, ca.log, lambda x: ca.fmod(x, 2.0)])
-def test_nothing_bounds_a_pole_inside(written: Callable[[ca.SX], ca.SX]) -> None:
-    line = np.eye(12)[1].reshape(12, 1, 1)
-    assert np.isinf(Walk(written(X), X)(arithmetic((10,)), line)[-1]).all()
+EXTERNAL = ca.Function("external", [X], [X / 2.0], {"never_inline": True})
+
+
+@pytest.mark.parametrize("written", [lambda x: 1 / x, ca.log, lambda x: ca.fmod(x, 2.0), EXTERNAL])
+def test_nothing_bounds_a_pole_inside_or_an_external_function(written: Callable[[ca.SX], ca.SX]) -> None:
+    ring, line = arithmetic((10,)), np.eye(12)[1].reshape(12, 1, 1)
+    for expression in (written(X), _without_steps(written(X))[0]):
+        assert not np.isfinite(ring.span(Walk(expression, X)(ring, line))).any()
 
 
 @pytest.mark.parametrize("written", [

@@ -92,6 +92,10 @@ class Equations:
         The diagonal blocks of the Jacobian in that form, each behind those that it depends on.
     sizes, block : ndarray of int
         Numbers of entries of the blocks, and the block of each unknown.
+    entries : list of ndarray of int
+        Places of the entries of each block.
+    alike : dict of int to ndarray of int
+        The same of all blocks with a number of entries.
     inside, own : ndarray of int
         Places of entries of the Jacobian within the blocks, row by row, and among its own entries.
     begins, unknowns : ndarray of int
@@ -134,13 +138,15 @@ class Equations:
         one = Part(every_one, every_one, np.arange(J.nnz()), places_of(J.sparsity()))
         self.blocks = (one,) if whole else triangular_blocks(J.sparsity())
         self.sizes = np.array([len(each.rows) ** 2 for each in self.blocks])
-        self.block, begins = np.zeros(size, dtype=int), (np.cumsum(self.sizes) - self.sizes).tolist()
+        self.entries = np.split(np.arange(self.sizes.sum()), np.cumsum(self.sizes)[:-1])
+        self.alike = {n: np.concatenate([own for own in self.entries if len(own) == n]) for n in self.sizes.tolist()}
+        self.block = np.zeros(size, dtype=int)
         Y, entries, r = (ca.SX.sym(name, n) for name, n in (("Y", self.sizes.sum()), ("J", J.nnz()), ("r", size)))
         inverse, inside = ca.SX(size, size), list[Array]()
-        for k, (each, begin) in enumerate(zip(self.blocks, begins, strict=True)):
+        for k, (each, own) in enumerate(zip(self.blocks, self.entries, strict=True)):
             n, self.block[each.columns] = len(each.rows), k
-            inverse[each.columns.tolist(), each.rows.tolist()] = ca.reshape(Y[begin : begin + n**2], n, n).T
-            inside.append(begin + n * each.places[0] + each.places[1])
+            inverse[each.columns.tolist(), each.rows.tolist()] = ca.reshape(Y[own.tolist()], n, n).T
+            inside.append(own[0] + n * each.places[0] + each.places[1])
         self.inside, self.own = np.concatenate(inside), np.concatenate([each.entries for each in self.blocks])
         off = (ca.SX.eye(size) - ca.mtimes(inverse, ca.SX(J.sparsity(), entries))).T  # CasADi counts by columns
         self.begins, self.unknowns = np.array(off.sparsity().colind()[:-1]), np.array(off.sparsity().row())
@@ -164,7 +170,7 @@ def _without_steps(expression: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     def named(operation: int, taken: Sequence[ca.SX]) -> ca.SX:
         nonlocal names, steps
         # Kinks are written by signs, which have a derivative that is bounded where they switch.
-        result = (lowered if operation in {ca.OP_FMAX, ca.OP_FMIN} else computed)(operation, taken)
+        result = (lowered if operation in {ca.OP_FMAX, ca.OP_FMIN, ca.OP_CALL} else computed)(operation, taken)
         if operation == ca.OP_DIV and _is_share(taken[0], taken[1], compared):
             return taken[0]
         if operation not in CONSTANT:
@@ -278,9 +284,9 @@ def block_signs(equations: Equations, J: Model) -> Array:
     count = J.shape[2]
     dense, signs = np.zeros((2, equations.sizes.sum(), count)), np.zeros((len(equations.blocks), count))
     dense[:, equations.inside] = J[:, equations.own]
-    for k, matrices in enumerate(np.split(dense, np.cumsum(equations.sizes)[:-1], axis=1)):
+    for k, own in enumerate(equations.entries):
         n = len(equations.blocks[k].rows)
-        C, R = np.nan_to_num(matrices.reshape(2, n, n, count).transpose(0, 3, 1, 2))
+        C, R = np.nan_to_num(dense[:, own].reshape(2, n, n, count).transpose(0, 3, 1, 2))
         size = np.maximum(np.abs(C).max(axis=2, keepdims=True), _LEAST)
         C, R, X = C / size, R / size, np.linalg.pinv(C / size)
         off = np.abs(np.eye(n) - X @ C) + np.abs(X) @ (R + (n**2 * 2.0 ** (n - 1) + n + 3.0) * UNIT)
@@ -290,12 +296,11 @@ def block_signs(equations: Equations, J: Model) -> Array:
 
 def _inverses(equations: Equations, ring: Arithmetic, entries: Array) -> Model:
     """Return interpolants of inverses of the blocks from entries (nodes, N, boxes) of these: any will do."""
-    nodes, sizes, boxes = len(entries), equations.sizes, entries.shape[2]
-    values = np.zeros((nodes, sizes.sum(), boxes))
+    nodes, boxes = len(entries), entries.shape[2]
+    values = np.zeros((nodes, equations.sizes.sum(), boxes))
     values[:, equations.inside] = entries
-    for square in np.unique(sizes).tolist():
+    for square, where in equations.alike.items():
         size = math.isqrt(square)
-        where = ((np.cumsum(sizes) - sizes)[sizes == square, None] + np.arange(square)).ravel()
         matrices = np.moveaxis(values[:, where].reshape(nodes, -1, size, size, boxes), -1, 2)
         matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
         try:
