@@ -17,7 +17,6 @@ J does not depend on need no D: the solution is unique whatever they are.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
@@ -95,7 +94,7 @@ class Equations:
     entries : list of ndarray of int
         Places of the entries of each block.
     alike : dict of int to ndarray of int
-        The same of all blocks with a number of entries.
+        The same of all blocks with a number of rows.
     inside, own : ndarray of int
         Places of entries of the Jacobian within the blocks, row by row, and among its own entries.
     begins, unknowns : ndarray of int
@@ -120,8 +119,9 @@ class Equations:
         self.symbols = ca.vertcat(x, s, gamma, array.system.p, ca.SX.sym("t"))
         if varied:
             self.flow = Walk(ca.vertcat(rates, ca.vec(slopes)), self.symbols)
-        every, jumps = ca.vertcat(self.symbols, names), names.numel() > 0
-        J = ca.jacobian(residual, x) if varied or jumps else jacobian(array, array.determined)
+        every = ca.vertcat(self.symbols, names)
+        # Leibniz' rule takes the equations as they are, without names and without derivatives by the states.
+        J = ca.jacobian(residual, x) if varied or names.numel() else jacobian(array, array.determined)
         self.steps, self.residual = Walk(steps, self.symbols), Walk(residual, every)
         self.jacobian = Walk(J.nz[:], every)
         n = len(array.system.coordinates)
@@ -139,7 +139,8 @@ class Equations:
         self.blocks = (one,) if whole else triangular_blocks(J.sparsity())
         self.sizes = np.array([len(each.rows) ** 2 for each in self.blocks])
         self.entries = np.split(np.arange(self.sizes.sum()), np.cumsum(self.sizes)[:-1])
-        self.alike = {n: np.concatenate([own for own in self.entries if len(own) == n]) for n in self.sizes.tolist()}
+        rows = {len(each.rows) for each in self.blocks}
+        self.alike = {n: np.concatenate([own for own in self.entries if len(own) == n * n]) for n in rows}
         self.block = np.zeros(size, dtype=int)
         Y, entries, r = (ca.SX.sym(name, n) for name, n in (("Y", self.sizes.sum()), ("J", J.nnz()), ("r", size)))
         inverse, inside = ca.SX(size, size), list[Array]()
@@ -299,8 +300,7 @@ def _inverses(equations: Equations, ring: Arithmetic, entries: Array) -> Model:
     nodes, boxes = len(entries), entries.shape[2]
     values = np.zeros((nodes, equations.sizes.sum(), boxes))
     values[:, equations.inside] = entries
-    for square, where in equations.alike.items():
-        size = math.isqrt(square)
+    for size, where in equations.alike.items():
         matrices = np.moveaxis(values[:, where].reshape(nodes, -1, size, size, boxes), -1, 2)
         matrices = np.where(np.isfinite(matrices).all(axis=(-1, -2), keepdims=True), matrices, np.eye(size))
         try:
