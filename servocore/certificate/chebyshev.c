@@ -5,12 +5,21 @@
    chebyshev.py. */
 
 #include <stddef.h>
+#include <stdint.h>
 
 #define LANES 16
+#define LINE 64 /* bytes: memory is faster where rows begin with a line of it */
+#ifdef __AVX512F__
+#define WIDE 8
+#elif defined __AVX__
 #define WIDE 4
+#else
+#define WIDE 2
+#endif
 
-/* All lanes of a row in WIDE-fold pieces, written out: sums of rows stay in registers. */
-#define EACH _Pragma("GCC unroll 4") for (int l = 0; l < LANES / WIDE; ++l)
+/* All lanes of a row in WIDE-fold pieces, as registers are, written out: sums of rows stay there. */
+#define EACH _Pragma("GCC unroll 8") for (int l = 0; l < LANES / WIDE; ++l)
+#define EACH_LANE for (int l = 0; l < LANES; ++l)
 
 typedef ptrdiff_t whole; /* as NumPy's intp */
 typedef double piece __attribute__((vector_size(8 * WIDE), aligned(8), may_alias));
@@ -42,7 +51,7 @@ static void add(whole terms, whole apart, double sign, const double *a, const do
 static int used(const double *row)
 {
     int any = 0;
-    for (int l = 0; l < LANES; ++l) any |= row[l] != 0.0;
+    EACH_LANE any |= row[l] != 0.0;
     return any;
 }
 
@@ -73,20 +82,26 @@ static void multiply_in_time(whole terms, whole apart, const double *a, const do
     }
 }
 
-static void multiply_by_places(const whole *tape, whole apart, const double *a, const double *b, piece *results)
+static void multiply_by_places(const whole *tape, whole apart, const double *a, const double *b,
+                               double *restrict results)
 {
     const whole terms = tape[0], targets = tape[1], full = tape[2], *table = tape + 4;
-    for (whole k = 0; k < full; ++k)
-        EACH results[k * LANES / WIDE + l] = (piece){0.0};
+    double x[LANES], z[LANES], share = 1.0 / targets;
+    whole rows[terms], count = 0;
+    for (whole j = 0; j < terms; ++j)
+        if (used(b + j * apart)) rows[count++] = j;
+    for (whole k = 0; k < full * LANES; ++k) results[k] = 0.0;
     for (whole i = terms - 1; i >= 0; --i) {
-        if (!used(a + i * apart)) continue;
-        for (whole j = 0; j < terms; ++j) {
-            piece z[LANES / WIDE];
-            if (!used(b + j * apart)) continue;
-            EACH z[l] = 1.0 / targets * ROW(a, i)[l] * ROW(b, j)[l];
+        const double *left = a + i * apart;
+        if (!used(left)) continue;
+        EACH_LANE x[l] = share * left[l];
+        for (whole n = 0; n < count; ++n) {
+            const double *right = b + rows[n] * apart;
+            const whole *place = table + (i * terms + rows[n]) * targets;
+            EACH_LANE z[l] = x[l] * right[l];
             for (whole k = 0; k < targets; ++k) {
-                piece *at = results + table[(i * terms + j) * targets + k] * LANES / WIDE;
-                EACH at[l] += z[l];
+                double *at = results + place[k] * LANES;
+                EACH_LANE at[l] += z[l];
             }
         }
     }
@@ -101,7 +116,7 @@ static void multiply(const whole *tape, whole apart, const double *a, const doub
     if (tape[1] == 2)
         multiply_in_time(terms, apart, a, b, results + full * LANES / WIDE, results);
     else
-        multiply_by_places(tape, apart, a, b, results);
+        multiply_by_places(tape, apart, a, b, (double *)results);
     for (whole k = 0; k < terms; ++k) {
         double rounded = (1.0 + tape[3] * (k + 1)) * UNIT / 2.0;
         piece *z = (piece *)ROW(to, k);
@@ -122,13 +137,14 @@ static void multiply(const whole *tape, whole apart, const double *a, const doub
 }
 
 /* The tape has the numbers of terms, of results of a pair of coefficients, of all results and of most additions to one
-   with a coefficient of a, and the places of the results, those within the degrees first; there is room for all results
-   and the coefficients of one model. A step is an operation, the place of its result and those of its arguments among
-   the models, an array (places, rows, boxes). There are LANES boxes at least; some of the last are computed twice, as no
-   step overwrites an argument. */
+   with a coefficient of a, and the places of the results, those within the degrees first; there is room for all
+   results, the coefficients of one model and a line of memory. A step is an operation, the place of its result and
+   those of its arguments among the models, an array (places, rows, boxes). There are LANES boxes at least; some of the
+   last are computed twice, as no step overwrites an argument. */
 void sc_run(const whole *tape, const whole *steps, double *models, double *results, whole count, whole boxes)
 {
     whole terms = tape[0], size = (terms + 1) * boxes;
+    piece *line = (piece *)(((uintptr_t)results + LINE - 1) / LINE * LINE);
     for (whole next = 0; next < boxes; next += LANES) {
         double *from = models + (next + LANES < boxes ? next : boxes - LANES);
         for (const whole *step = steps; step < steps + 4 * count; step += 4) {
@@ -136,7 +152,7 @@ void sc_run(const whole *tape, const whole *steps, double *models, double *resul
             if (step[0] < 2)
                 add(terms, boxes, step[0] ? -1.0 : 1.0, a, b, to);
             else
-                multiply(tape, boxes, a, b, (piece *)results, to);
+                multiply(tape, boxes, a, b, line, to);
         }
     }
 }

@@ -377,7 +377,7 @@ def carry_out(steps: Places, ring: Arithmetic, models: Array) -> None:
     boxes = models.shape[2]
     run = machine_code().best(len(steps) * boxes) if boxes >= LANES else None
     if run is not None:
-        results = np.empty((ring.tape[0] + ring.tape[2]) * LANES)
+        results = np.empty((ring.tape[0] + ring.tape[2] + 1) * LANES)
         run(ring.tape.ctypes.data, steps.ctypes.data, models.ctypes.data, results.ctypes.data, len(steps), boxes)
         return
     rules = [summed, lambda a, b: summed(a, b, -1.0), ring.multiplied]  # of PLUS, MINUS and TIMES

@@ -31,7 +31,8 @@ class _Workspace(threading.local):
     """Memory for models, the same for all walks of a thread: pages of fresh memory take as long as operations."""
 
     def __init__(self) -> None:
-        self._numbers = np.empty(1 << 21)  # pages that are never used take no memory
+        numbers = np.empty(1 << 21)  # pages that are never used take no memory
+        self._numbers = numbers[-numbers.ctypes.data // 8 % 8 :]  # they begin with a line of memory
 
     def of(self, *shape: int) -> Array:
         """Return an array of any values, valid until the next call."""
