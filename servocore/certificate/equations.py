@@ -120,8 +120,9 @@ class Equations:
         if varied:
             self.flow = Walk(ca.vertcat(rates, ca.vec(slopes)), self.symbols)
         every = ca.vertcat(self.symbols, names)
-        # Leibniz' rule takes the equations as they are, without names and without derivatives by the states.
-        J = ca.jacobian(residual, x) if varied or names.numel() else jacobian(array, array.determined)
+        # Leibniz' rule takes all equations as they are, without names and without derivatives by the states.
+        bare = array is self.answering and not (varied or names.numel())
+        J = jacobian(array, array.determined) if bare else ca.jacobian(residual, x)
         self.steps, self.residual = Walk(steps, self.symbols), Walk(residual, every)
         self.jacobian = Walk(J.nz[:], every)
         n = len(array.system.coordinates)
