@@ -111,6 +111,7 @@ A_FEW = 0.25
 settings.register_profile(FRESH, settings.get_profile("repeatable"), derandomize=False, print_blob=True)
 
 
+@pytest.hookimpl(tryfirst=True)  # who sorts or marks what is left has less to do
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--nightly"):
         select(config, items, [item for item in items if not item.get_closest_marker("nightly")])

@@ -16,14 +16,12 @@ from typing import Any, Self
 from zipfile import ZipFile
 
 import numpy as np
-from budgets import shared_by_all_files
 from fmpy import extract, read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 from processes import python
 
-from crane_fmu.build import SystemOptions, build_ssp
 from crane_fmu.catalogue import KINDS, ORDERS
 from servocore.numerics.compiled_calls import Array
 
@@ -46,6 +44,8 @@ def built_once(name: str, build: Callable[[Path], object], seconds: float = 900.
 
     The sign of a process that builds is a folder: making one either succeeds or finds it made.
     """
+    from budgets import shared_by_all_files  # processes that host an FMU start without pytest
+
     folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch() / "built")
     folder.mkdir(exist_ok=True)
     place, sign, until = folder / name, folder / f"{name}.busy", time.monotonic() + seconds
@@ -68,6 +68,8 @@ def built_once(name: str, build: Callable[[Path], object], seconds: float = 900.
 
 @cache
 def system(native: bool = False) -> Path:
+    from crane_fmu.build import SystemOptions, build_ssp  # and without what builds FMUs
+
     options = SystemOptions(targets="host", native=native)
     return built_once(f"system{' native' * native}", partial(build_ssp, options=options)) / "Crane.ssp"
 

@@ -110,6 +110,7 @@ import gc, sys
 from pathlib import Path
 import numpy as np
 from fmu_host import Host
+gc.freeze()  # to look at what was imported again and again takes most of the time
 with Host(Path(sys.argv[1])) as host:
     host.start()
     assert host.step(0.0, 0.1)
