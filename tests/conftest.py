@@ -81,7 +81,8 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 def products_in_machine_code() -> None:
     """Let certificates multiply in machine code, which is built in a moment and saves them a third of their time."""
     products = machine_code()
-    with suppress(sc.InvalidSetting):  # no compiler: by NumPy
+    with suppress(sc.InvalidSetting), pytest.MonkeyPatch.context() as whole:  # no compiler: by NumPy
+        whole.delenv(kept_compiler.OPTIONS, raising=False)  # unoptimized it would take ten times as long
         products._loaded = products._load(built(present(products._make())))
 
 
