@@ -198,8 +198,8 @@ def test_effects_that_make_no_sense_are_refused(words: str, name: str, names: li
 
 
 @cache
-def report(name: str, simulate: bool = False, tolerance: float = 0.005) -> EffectsReport:
-    return sc.effects(along_its_line(crane(name), 10.0), tolerance=tolerance, simulate=simulate)
+def report(name: str, simulate: bool = False) -> EffectsReport:
+    return sc.effects(along_its_line(crane(name), 10.0), simulate=simulate)
 
 
 def test_simulated_errors_of_the_rotary_crane_are_those_of_an_independent_study() -> None:
@@ -215,12 +215,14 @@ def test_simulated_errors_of_the_rotary_crane_are_those_of_an_independent_study(
 
 @pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane"])
 def test_estimates_that_are_shown_are_near_what_simulations_show(name: str) -> None:
-    # Nothing is near a tolerance as small as this one: estimates are shown but where plants answer otherwise.
-    estimated, simulated = report(name, tolerance=1e-9), report(name, simulate=True)
+    # Estimates are shown but near the tolerance, where they are as good, and where plants answer otherwise.
+    estimated, simulated = report(name), report(name, simulate=True)
     shown = [each for each in estimated.rows if each.how == "estimated"]
-    assert len(shown) >= 8
-    for row in shown:
-        assert row.error == row.estimate == pytest.approx(simulated[row.name].error, rel=0.12), row.name
+    good = [*shown, *(each for each in estimated.rows if "near the tolerance" in each.reason)]
+    assert len(good) >= 8
+    assert all(row.error == row.estimate for row in shown)
+    for row in good:
+        assert row.estimate == pytest.approx(simulated[row.name].error, rel=0.12), row.name
 
 
 def test_a_plant_that_answers_otherwise_than_the_small_model_is_simulated() -> None:
@@ -341,7 +343,9 @@ def test_bad_settings_are_refused_by_name(options: dict[str, Any], words: str) -
 
 
 def test_a_rope_shorter_than_its_lumps_refuses_its_row() -> None:
-    found = sc.effects(smooth(crane("overhead_crane"), 5.0), parameters={"rope_piece": 3.0})
+    scene = smooth(crane("overhead_crane"), 5.0)
+    few = tuple(each for each in scene.effects.declared if "rope" in each.name)
+    found = sc.effects(replace(scene, effects=replace(scene.effects, declared=few)), parameters={"rope_piece": 3.0})
     assert found["rope mass"].how == "refused"
     assert "rope_above is -" in found["rope mass"].reason
     assert ", apart from rope mass, which cannot be judged, the load keeps" in found.verdict
