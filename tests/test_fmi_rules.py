@@ -99,10 +99,10 @@ def test_models_are_linked_into_one_program(
     for name, probe in zip(names, probes, strict=True):
         folder = tmp_path / probe
         put(folder, fmu_sources(exported(name), fmi) | {"probe.c": PROBE})
-        files = *compiled_files(exported(name), fmi), "probe.c"
-        subprocess.run([*compiler, "-std=c99", "-O0", "-w", "-c", f"-DFMI={fmi}", f"-DPROBE={probe}", *files],
-                       cwd=folder, check=True)  # fmt: skip
-        objects += [folder / Path(file).with_suffix(".o") for file in files]
+        for file in (*compiled_files(exported(name), fmi), "probe.c"):
+            objects.append(folder / Path(file).with_suffix(".o"))
+            made = [f"-DFMI={fmi}", f"-DPROBE={probe}", "-c", file, "-o", objects[-1].name]
+            subprocess.run([*compiler, "-std=c99", "-O0", "-w", *made], cwd=folder, check=True)
     calls = "".join(f'printf("%.17g\\n", {each}());' for each in probes)
     declared = "".join(f"double {each}(void);" for each in probes)
     (tmp_path / "main.c").write_text(f"#include <stdio.h>\n{declared}\nint main(void) {{ {calls} return 0; }}\n")
@@ -536,12 +536,11 @@ def test_sources_without_stdio_call_the_mathematics_of_c_and_the_host_only(
     """As controllers need it that compile sources (TwinCAT's TE1420): no call of an operating system, nothing else."""
     model = replace(exported(name), host=HostRules(stdio=False, internal_steps=7))
     put(tmp_path, fmu_sources(model, fmi))
-    wanted = set()
-    for file in compiled_files(model, fmi):
+    objects = [Path(file).with_suffix(".o").name for file in compiled_files(model, fmi)]
+    for file, made in zip(compiled_files(model, fmi), objects, strict=True):
         optimized = "-O2" if file.startswith("fmi") else "-O0"
-        command = [*compiler, "-std=c99", optimized, "-ffreestanding", "-fno-builtin", *STRICT, "-c", file]
+        command = [*compiler, "-std=c99", optimized, "-ffreestanding", "-fno-builtin", *STRICT, "-c", file, "-o", made]
         subprocess.run(command, cwd=tmp_path, check=True)
-    objects = [Path(file).with_suffix(".o") for file in compiled_files(model, fmi)]
     subprocess.run([*compiler, "-r", "-nostdlib", *objects, "-o", "all.o"], cwd=tmp_path, check=True)
     listed = subprocess.run(["nm", "-u", "all.o"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     wanted = {line.split()[-1] for line in listed.splitlines()}

@@ -307,20 +307,6 @@ def test_fields_show_every_digit_of_what_was_given(width: int, tmp_path: Path) -
         assert page.errors == []
 
 
-def test_limits_that_differ_by_more_than_the_sign_have_a_field_each(tmp_path: Path) -> None:
-    require_browser()
-    crane = sc.scenes.rotary_crane().with_limits(M_w=(-104.0, -92.0))
-    with Page(sc.view(sc.solve(crane), tmp_path / "crane.html"), tmp_path / "profile") as page:
-        labels = ("lower limit of M_w", "upper limit of M_w")
-        assert [page.run(f"{LABELLED % each}.value") for each in labels] == ["-104", "-92"]
-        assert page.run(STATUS) == "All limits are kept."
-        bound(page, labels[1], -99)
-        assert re.match("Limit exceeded: M_w reaches −9", str(page.run(STATUS)))
-        bound(page, labels[1], "")
-        assert page.run(STATUS) == "All limits are kept."  # the lower one is left
-        assert page.errors == []
-
-
 def test_a_slider_changes_the_curves_to_what_the_library_gives(opened: Page) -> None:
     before = outline(opened, 2)
     settled(opened, SET % ("load mass", 137.0))
@@ -453,6 +439,20 @@ def test_the_page_of_a_users_own_system_computes_on_a_path_through_waypoints(
     for attribute, solution, tolerance in (("run", exact, 1e-11), ("paper", paper, 1e-8)):
         found = opened.run(f"[...servocore.{attribute}.rows[0]]")
         np.testing.assert_allclose(found, solution["F"], rtol=0.0, atol=tolerance * np.abs(solution["F"]).max())
+    assert opened.errors == []
+
+
+def test_limits_that_differ_by_more_than_the_sign_have_a_field_each(opened: Page, tmp_path: Path) -> None:
+    crane = sc.scenes.rotary_crane().with_limits(M_w=(-104.0, -92.0))
+    opened.errors.clear()
+    opened.open(sc.view(sc.solve(crane), tmp_path / "crane.html"))
+    labels = ("lower limit of M_w", "upper limit of M_w")
+    assert [opened.run(f"{LABELLED % each}.value") for each in labels] == ["-104", "-92"]
+    assert opened.run(STATUS) == "All limits are kept."
+    bound(opened, labels[1], -99)
+    assert re.match("Limit exceeded: M_w reaches −9", str(opened.run(STATUS)))
+    bound(opened, labels[1], "")
+    assert opened.run(STATUS) == "All limits are kept."  # the lower one is left
     assert opened.errors == []
 
 
