@@ -204,7 +204,7 @@ def test_processes_compute_the_same_digits() -> None:
 def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_completed_by_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store, varied = tmp_path / "s.zarr", {"load_mass": np.linspace(50.0, 150.0, 60)}  # more than are under way at once
+    store, varied = tmp_path / "s.zarr", {"load_mass": np.linspace(50.0, 150.0, 12)}  # more than are under way at once
     monkeypatch.setattr(worker_pools.Pool, "ahead", 2)  # or a worker may have computed all before it is killed
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
 
