@@ -45,7 +45,7 @@ def test_any_end_mass_goes(end_mass: float) -> None:
 
 
 def test_velocity_is_the_rate_of_displacement() -> None:
-    found = march(PATHS["default"], 400)
+    found = march(PATHS["default"], 200)
     rate = np.gradient(found.displacement[-1], found.t)
     np.testing.assert_allclose(rate[2:-2], found.velocity[-1, 2:-2], atol=1e-3 * np.abs(found.velocity).max())
 
