@@ -78,19 +78,19 @@ def _nearest_of(problem: Problem) -> Nearest:
     weights = np.concatenate([_HELD / np.where(scale > 0.0, scale, 1.0)[:constraints], 1.0 / size])
 
     def nearest(time: float, starts: list[Array]) -> tuple[Array, float, Array]:
-        place, found = reference.jet(time, 0)[0], list[tuple[Array, Array]]()
+        place = reference.jet(time, 0)[0]
 
         def weighed(x: Array) -> tuple[Array, Array]:
             residual, jacobian = rows(x, place)
             return residual * weights, jacobian * weights[:, None]
 
+        found = [(starts[0], np.nan_to_num(weighed(starts[0])[0], nan=np.inf))]  # exact where a formula is the guess
         for start in starts:
-            found.append(_least_squares(weighed, start))
             if np.linalg.norm(found[-1][1]) < _REACHED:
                 break
+            found.append(_least_squares(weighed, start))
         x, residual = min(found, key=lambda each: float(np.linalg.norm(each[1])))
-        missed = residual[constraints:]
-        return x, float(np.abs(missed).max(initial=0.0)), missed * size
+        return x, float(np.abs(residual[constraints:]).max(initial=0.0)), residual[constraints:] * size
 
     return nearest
 
@@ -118,7 +118,7 @@ def out_of_reach(problem: Problem) -> str:
     times = np.linspace(reference.start_time, reference.end_time, _INSTANTS).tolist()
     x, missed = _guess(problem, times[0]), dict[int, float]()
     for k, time in enumerate(times):
-        x, far, _ = nearest(time, [x, _guess(problem, time)])
+        x, far, _ = nearest(time, [_guess(problem, time), x])
         if not far < _REACHED:
             missed[k] = far
     while missed:
