@@ -12,7 +12,6 @@ from collections import defaultdict
 from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
-from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -110,9 +109,12 @@ def besides(cases: Iterable[str], chosen: Iterable[str], names: Sequence[str]) -
     rank = {name: place for place, name in enumerate(names, 1)}
     weights = {case: seconds_of(case) * rank[file_of(case)] for case in cases if file_of(case) in rank}
     weights |= {case: 0.0 for case in cases if case.removeprefix("tests/") in rank}
-    left = sorted(weights.keys() - set(chosen), key=lambda case: (weights[case], case))
-    spent = accumulate(map(seconds_of, left))
-    return [case for case, seconds in zip(left, spent, strict=True) if seconds <= BESIDES]
+    left, found = BESIDES, list[str]()
+    for case in sorted(weights.keys() - set(chosen), key=lambda case: (weights[case], case)):
+        if seconds_of(case) <= left:
+            left -= seconds_of(case)
+            found.append(case)
+    return found
 
 
 @cache

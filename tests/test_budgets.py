@@ -40,9 +40,9 @@ def test_short_cases_of_the_files_that_concern_a_change_most_are_added_as_time_a
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     long = budgets.BESIDES - 1.0
-    monkeypatch.setattr(budgets, "slow", lambda: {"tests/f::a": long, "tests/g::a": long})
-    cases = [f"tests/{case}" for case in ("f::a", "f::b", "f::c", "g::a", "g::b", "h::a")]
-    added = budgets.besides(cases, [cases[1]], ["h::a", "f", "g"])
+    monkeypatch.setattr(budgets, "slow", lambda: {"tests/f::a": long, "tests/g::a": long, "tests/h::b": long + 2.0})
+    cases = [f"tests/{case}" for case in ("f::a", "f::b", "f::c", "g::a", "g::b", "h::a", "h::b")]
+    added = budgets.besides(cases, [cases[1]], ["h::b", "h::a", "f", "g"])
     assert added == ["tests/h::a", "tests/f::c", "tests/g::b", "tests/f::a"]
 
 
