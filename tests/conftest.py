@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import tempfile
+from collections import defaultdict
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -127,8 +128,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             asked[case].user_properties.append(budgets.ADDED)
         select(config, items, [asked[case] for case in (*chosen, *besides)])
         ask_examples([item for item in items if budgets.file_of(item.nodeid) not in names], A_FEW)
+        of_file = defaultdict[str, float](float)
+        for item in items:
+            of_file[budgets.file_of(item.nodeid)] += budgets.seconds_of(item.nodeid)
+    else:
+        of_file = defaultdict(lambda: budgets.UNLISTED, budgets.budgets())
     # the longest files begin, so that both processes end together
-    items.sort(key=lambda item: budgets.budgets().get(budgets.file_of(item.nodeid), budgets.UNLISTED), reverse=True)
+    items.sort(key=lambda item: of_file[budgets.file_of(item.nodeid)], reverse=True)
     if config.getoption("--hypothesis-profile", None) == FRESH:
         ask_examples(items, TIMES_AS_MANY)
 
