@@ -115,6 +115,13 @@ def test_what_needs_no_conversion_is_not_told(content: str | bytes, tmp_path: Pa
     assert told == []
 
 
+def test_times_are_read_in_every_unit(tmp_path: Path) -> None:
+    for unit, factor in {"ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9, "min": 1 / 60, "h": 1 / 3600}.items():
+        path, told = read(tmp_path, text(ROWS * [factor, 1, 1, 1], f"time [{unit}],x,y,z"))
+        assert as_line(path)
+        assert told[0].startswith("time in ")
+
+
 def test_units_of_derivatives_are_converted_too(tmp_path: Path) -> None:
     jets = LINE.jet(T, 4).reshape(len(T), -1) * 1e3
     names = [f"{prefix}{axis} [mm{per}]" for prefix, per in zip(["", "v", "a", "j", "s"],

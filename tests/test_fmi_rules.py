@@ -149,6 +149,8 @@ def test_an_export_has_the_feedback_the_estimates_and_the_routes_that_it_is_give
     file = sc.export_fmu(CRANE, tmp_path / "crane.fmu", fmi=2, targets="none", **given)
     names = {each.name for each in read_model_description(file).modelVariables}
     assert names >= {"feedback", "measured.l", "connected", "model", "formulation"}
+    with pytest.raises(sc.InvalidModel, match=r"its inputs are stepped, or limited$"):
+        sc.export_fmu(CRANE.with_limits(F=1e6), tmp_path / "limited.fmu", targets="none", routes=given["routes"])
 
 
 def test_start_values_of_numbers_and_choices_are_those_of_the_fmu(tmp_path: Path) -> None:
