@@ -139,6 +139,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         ask_examples(items, TIMES_AS_MANY)
 
 
+def pytest_runtest_teardown() -> None:
+    """Close the figures of a test: pyplot keeps them, and warns of more than twenty."""
+    if pyplot := sys.modules.get("matplotlib.pyplot"):
+        pyplot.close("all")
+
+
 def pytest_collection_finish() -> None:
     """Let the garbage collector pass over what was collected: it would look at thousands of cases again and again."""
     gc.freeze()
