@@ -202,7 +202,8 @@ def certify(
             bounds, of_instants, spikes = compared(proof, solution, tolerance)
             statements, wanted = statements + of_instants, spikes + wanted
         statements += stated(proof, wanted, jumps)
-        if solution is not None and worst(statements).verdict == "undecided" and not proof.joined.all():
+        unproved = worst(statements).verdict == "undecided" and not proof.joined.all()
+        if solution is not None and problem.flat and unproved:
             statements = hidden(proof, solution, spikes) + statements
     timed = tuple(replace(each, begin=path.start_time, end=path.end_time) for each in statements)
     intervals = np.stack([proof.begin, proof.end], axis=1)[proof.within] if proof else np.zeros((0, 2))
