@@ -122,13 +122,11 @@ def hidden(proof: Proof, solution: Solution, spikes: Sequence[Claim]) -> list[St
     What it depends on is proved there alone, from the instant before, where it meets what the solution reports.
     """
     problem, t, found = proof.problem, solution.t, list[Statement]()
-    begin, end, nodes = proof.begin, proof.end, proof.ring.nodes
+    times = proof.ring.values(proof.given[:, -1:])  # the last of what is given is the time
     rows = zip(proof.equations.inputs, problem.array.inputs, spikes, strict=False)  # no spikes for a box
     for own, unknown, claim in rows:
-        values = np.nan_to_num(np.abs(proof.ring.values(proof.x[:, [own]])[:, 0]))
-        node, k = np.unravel_index(int(values.argmax()), values.shape)
-        time = (begin[k] + end[k] + (end[k] - begin[k]) * nodes[node, 0]) / 2.0
-        step = np.clip(np.searchsorted(t, [time], side="right") - 1, 0, len(t) - 2)
+        values = np.nan_to_num(np.abs(proof.ring.values(proof.x[:, [own]])))
+        step = np.clip(np.searchsorted(t, [times.flat[values.argmax()]], side="right") - 1, 0, len(t) - 2)
         grid = np.linspace(t[step[0]], t[step[0] + 1], _PARTS + 1)
         part = PartialProof(problem, unknown, proof.tolerance, grid)
         (early,), _ = part.ring.ends(part.x)

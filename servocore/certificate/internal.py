@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from servocore.certificate.chebyshev import UNIT, Model, arithmetic, derivative, magnitude, norm, summed
+from servocore.certificate.chebyshev import UNIT, Model, derivative, magnitude, norm, summed
 from servocore.certificate.equations import equations_of, given_models, radii
 from servocore.certificate.proof import OUTSIDE, Proof, grid_of, smallest_peaks
 from servocore.certificate.statements import Statement, compared
@@ -22,7 +22,6 @@ from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import guessed_unknowns, unknowns_from, unknowns_near
 
-_DEGREE = 10  # of polynomials on intervals
 _INSTANTS, _FEWEST = 3, 16  # of a solution in an interval; intervals
 _TUBE = 1e-7  # E, of peaks
 _SETTLED, _CORRECT = 1e-10, 1e-8  # last steps of Newton's method, of the largest unknown, and of peaks of states
@@ -85,7 +84,7 @@ class InternalProof(Proof):
 
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, solution: Solution, tolerance: float) -> None:
-        self.boxed, self.ring, self.bounded, self.sentence, self._from = {}, arithmetic((_DEGREE,)), False, "", ""
+        self.bounded, self.sentence, self._from = False, "", ""
         t, path = solution.t, problem.reference
         early, late = t[t < path.start_time], t[t > path.end_time]
         # Inputs may jump at the ends of the path: a motion from an equilibrium is at rest before it.
@@ -94,7 +93,7 @@ class InternalProof(Proof):
             early = before
         late = late if len(late) else np.array([path.end_time + OUTSIDE * path.duration])
         inside = grid_of(path, max(len(t) // _INSTANTS, _FEWEST))
-        self._begin(problem, equations_of(problem.resolved, False, True), tolerance, np.r_[early, inside, late])
+        self._begin(problem, {}, equations_of(problem.resolved, False, True), tolerance, np.r_[early, inside, late])
         s, ends = self._near(solution), np.stack([self.begin, self.end])
         self.given[:, s.shape[1] :] = given_models(problem, problem.array, self.ring, ends, {})
         self._correct(s)

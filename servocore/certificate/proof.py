@@ -105,12 +105,10 @@ class Proof:
 
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, boxed: Box, tolerance: float, raised: bool = False) -> None:
-        path, of_parameters = problem.reference, {1: 4, 2: 3}.get(len(boxed), 2)
+        path = problem.reference
         first, margin = _FIRST * max(problem.array.reference_order, _ORDERS), OUTSIDE * path.duration
         grid = [path.start_time - margin, *grid_of(path, _BOXED if boxed else first), path.end_time + margin]
-        self.boxed, self.ring = boxed, arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
-        self._narrow = tolerance if boxed else _NARROW * tolerance
-        self._begin(problem, equations_of(problem.resolved, raised), tolerance, np.array(grid))
+        self._begin(problem, boxed, equations_of(problem.resolved, raised), tolerance, np.array(grid))
         machine_code(self.equations.answering).best(1)
         self._refine()
         self.joints = self._joints()
@@ -121,8 +119,11 @@ class Proof:
             self._test(wide, equations_of(problem.resolved, raised, False, True))
             self.joints = self._joints()
 
-    def _begin(self, problem: Problem, equations: Equations, tolerance: float, grid: Array) -> None:
+    def _begin(self, problem: Problem, boxed: Box, equations: Equations, tolerance: float, grid: Array) -> None:
         """Begin with intervals between instants, of which nothing is known."""
+        of_parameters = {1: 4, 2: 3}.get(len(boxed), 2)
+        self.boxed, self.ring = boxed, arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
+        self._narrow = tolerance if boxed else _NARROW * tolerance
         self.problem, self.equations, self.tolerance, self.joints = problem, equations, tolerance, list[str]()
         n, unknowns = len(grid) - 1, len(equations.block)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
@@ -360,8 +361,7 @@ class PartialProof(Proof):
 
     @np.errstate(all="ignore")  # what is not finite is not proved
     def __init__(self, problem: Problem, unknown: int, tolerance: float, grid: Array) -> None:
-        self.boxed, self.ring, self._narrow = {}, arithmetic((_DEGREE,)), _NARROW * tolerance
-        self._begin(problem, equations_of(problem.resolved, False, of=unknown), tolerance, grid)
+        self._begin(problem, {}, equations_of(problem.resolved, False, of=unknown), tolerance, grid)
         self._refine()
         self.joints = self._joints()
 
