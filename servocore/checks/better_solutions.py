@@ -195,11 +195,14 @@ class BetterSolver:
         Whether its results do not depend on its steps.
     basis : str
         Its name in messages.
+    excited : (float, float), optional
+        `excited_mode` of the one solution that it is for, where that is known.
     """
 
     run: Callable[[Problem, Array], Solution]
     exact: bool
     basis: str
+    excited: tuple[float, float] | None = None
 
     def compared(self, problem: Problem, solution: Solution, every: int = 1) -> Comparison:
         """Compare a solution with better values at its instants, or some of them.
@@ -221,7 +224,7 @@ class BetterSolver:
             exact = self.run(problem, t)
             better = np.column_stack([np.interp(t, exact.t, column) for column in exact.values.T])
             return Comparison(solution, better, self.basis, better[:, :inputs])
-        radians, share = excited_mode(problem, solution)
+        radians, share = self.excited or excited_mode(problem, solution)
         if radians > _UNRESOLVED:
             step = float(np.ptp(t)) / solution.statistics.steps
             raise ServocoreError(

@@ -84,19 +84,21 @@ class Stepped(JudgedRoute):
             exact = replace(solution, t=motion.t, values=motion.values.T)
             better = replace(EXACT, run=lambda *_: exact)
         # Of unstable dynamics its user was warned before the run.
-        elif not (problem.flat or internal_dynamics(problem).grows) and self._is_doubtful(problem, solution):
-            better = self.better(problem)
+        elif not (problem.flat or internal_dynamics(problem).grows):
+            excited = excited_mode(problem, solution)
+            if self._is_doubtful(problem, solution, *excited):
+                better = replace(self.better(problem), excited=excited)
         return stated_branch(problem, solution, better, self._advice(problem))
 
-    def _is_doubtful(self, problem: Problem, solution: Solution) -> bool:
+    def _is_doubtful(self, problem: Problem, solution: Solution, radians: float, share: float) -> bool:
         """Whether inputs may be far from right, with internal dynamics that do not grow.
 
-        Free motion of z radians in a step errs by z^(order + 1) in each, and tolerances are kept by two runs that both
-        damp it. Other stable results of collocation on a form of index one are right where third differences of all
-        values are small.
+        Free motion of z radians in a step (`excited_mode`) errs by z^(order + 1) in each, and tolerances are kept by
+        two runs that both damp it. Other stable results of collocation on a form of index one are right where third
+        differences of all values are small.
         """
         index, values, summary = problem.dae(self.formulation).index, solution.values, solution.statistics
-        (radians, share), order = excited_mode(problem, solution), self.method.orders(index).forces
+        order = self.method.orders(index).forces
         if share > LARGEST_UNWARNED and summary.steps * radians ** (max(order, 0) + 1) > NOTICED:
             return True
         if summary.error_estimate is not None:
