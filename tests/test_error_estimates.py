@@ -107,13 +107,9 @@ def test_a_mass_on_a_car_is_judged_by_better_runs(
 ) -> None:
     """Internal oscillations from slow to fast, from hardly damped to well damped, followed well and badly."""
     k = 10**stiffness
-    subject = (
-        scene("mass_on_car")
-        .with_parameters(
-            stiffness=k, inclination=inclination, damping=10**damping * np.sqrt(8 * k) * np.sin(inclination)
-        )
-        .with_reference(sc.rest_to_rest((0.0,), (2.0,), duration))
-    )
+    damper = 10**damping * np.sqrt(8 * k) * np.sin(inclination)
+    moved = scene("mass_on_car").with_reference(sc.rest_to_rest((0.0,), (2.0,), duration))
+    subject = moved.with_parameters(stiffness=k, inclination=inclination, damping=damper)
     found, said = solved(subject, form, method, step=duration / steps)
     exact = {"u": force_on_the_car(found.t, duration, subject.parameter_values())}
     assert_known_and_warned_of(exact, found, said)
@@ -161,11 +157,8 @@ def test_a_free_oscillation_is_warned_of_if_steps_damp_or_delay_it(
 def test_cars_are_judged_by_the_exact_inversion_at_every_instant(
     stiffness: float, duration: float, form: sc.Formulation, method: sc.Method, steps: int
 ) -> None:
-    subject = (
-        scene("cars")
-        .with_parameters(stiffness_1=10**stiffness)
-        .with_reference(sc.rest_to_rest((0.0,), (1.0,), duration, sc.DEGREE13))
-    )
+    moved = scene("cars").with_reference(sc.rest_to_rest((0.0,), (1.0,), duration, sc.DEGREE13))
+    subject = moved.with_parameters(stiffness_1=10**stiffness)
     try:
         found, said = solved(subject, form, method, step=duration / steps)
     except sc.IntegrationFailed:

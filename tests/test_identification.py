@@ -105,10 +105,9 @@ def test_quick_reversals_of_a_drive_do_not_pass_for_noise_of_its_input() -> None
 
 
 def test_a_wrong_model_and_a_log_without_noise_are_told_apart() -> None:
+    coarse = {name: each[::10] for name, each in log().items()}
     with pytest.warns(sc.errors.ServocoreWarning, match="^the model does not explain F.*model does not explain M_w"):
-        assert sc.identify(
-            sc.scenes.overhead_crane(), {name: each[::10] for name, each in log().items()}, NAMES[:3]
-        ).doubts
+        assert sc.identify(sc.scenes.overhead_crane(), coarse, NAMES[:3]).doubts
     run = sc.solve(REAL.with_reference(LIVELY), step=0.002)
     exact = {"time": run.t, **{name: run[name] for name in ("F", "M_w", "s", "l")}}
     with pytest.warns(sc.errors.ServocoreWarning, match="^F is logged without noise[^;]*; M_w is logged with[^;]*$"):
