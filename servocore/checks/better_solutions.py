@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.checks.findings import FEWEST, ROUND_OFF
 from servocore.errors import ServocoreError, ServocoreWarning
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Mask, Places
 from servocore.problem import Problem
 from servocore.references.base import subdivided
 from servocore.solution import ErrorEstimate, Solution
@@ -66,7 +65,7 @@ class Comparison:
         return np.abs(self.solution.values[:, : better.shape[1]] - better), np.abs(self.coarser - better)
 
     @property
-    def known(self) -> npt.NDArray[np.bool_]:
+    def known(self) -> Mask:
         """Whether the distance of an input is the error of the run, rather than that of the better values."""
         off, doubt = (each.max(axis=0) for each in self.distances)
         round_off = ROUND_OFF * np.abs(self.better[:, : len(off)]).max(axis=0)
@@ -96,7 +95,7 @@ class Comparison:
         return {k: v for k, v in self.bounds.relative.items() if v is not None and v > LARGEST_UNWARNED}
 
 
-def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
+def steps_that_stand_out(q: Array) -> Places:
     """Return the steps of a motion (N, n) that are far from the mean of the ones before and after.
 
     A motion that changes branch has such a step, and one that hardly resolves its path.

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, Passage, Places, Rows, some_of
+from servocore.checks.branches import DISAGREEMENT, LESS_THAN_HALF, Passage, Rows, some_of
 from servocore.checks.findings import BISECTIONS, ROUND_OFF, Finding
 from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.compiled_calls import Array, Call, Mask, Places
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.exact_evaluation import along_path
@@ -42,7 +41,7 @@ class Moments:
     t: Array
     states: Array
 
-    def of(self, chosen: Places | npt.NDArray[np.bool_] | slice) -> Moments:
+    def of(self, chosen: Places | Mask | slice) -> Moments:
         """Return some of them."""
         return Moments(self.t[chosen], self.states[:, chosen])
 
@@ -96,8 +95,8 @@ def look(
     return inserted, (left, right), gaps
 
 
-def _known(at: Moments) -> npt.NDArray[np.bool_]:
-    known: npt.NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(at.states), axis=0)
+def _known(at: Moments) -> Mask:
+    known: Mask = np.logical_and.reduce(np.isfinite(at.states), axis=0)
     return known
 
 
@@ -151,7 +150,7 @@ def hidden_values(motion: Motion, program: Program, values: Array) -> Iterator[F
         yield Finding(said, warns=True)
 
 
-def _looked_at(motion: Motion) -> tuple[Moments, npt.NDArray[np.bool_]]:
+def _looked_at(motion: Motion) -> tuple[Moments, Mask]:
     """Return moments between the instants, and which of them are beside singularities that are passed."""
     some = Moments(some_of(motion.t), some_of(motion.states))
     between, *_ = look(motion.beside, some, _highest(motion.problem.array), DISAGREEMENT, motion.passages)
@@ -189,7 +188,7 @@ def continuous_angles(motion: Motion, program: Program, values: Array) -> None:
         values[k] = np.unwrap(values[k]) if clear else _followed(motion, program, k, values[k], unclear)
 
 
-def _followed(motion: Motion, program: Program, channel: int, angle: Array, unclear: npt.NDArray[np.bool_]) -> Array:
+def _followed(motion: Motion, program: Program, channel: int, angle: Array, unclear: Mask) -> Array:
     """Return a continuous angle (N,) at the instants of a motion, from exact inversions within unclear intervals."""
     at = Moments(motion.t, np.vstack([motion.states, angle]))
     for _ in range(BISECTIONS):

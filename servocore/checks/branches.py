@@ -15,12 +15,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from servocore.checks.findings import ROUND_OFF
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, Mask, Places, call_of, side_by_side
 from servocore.numerics.components import condition_number, singular_values
 from servocore.numerics.constraint_ranks import unit_rows
 from servocore.numerics.memoization import made_once
@@ -52,7 +51,6 @@ DISAGREEMENT = 0.05
 
 _LESS = 0.1  # of the least singular value at the instants beside: with less, constraints lose rank
 
-Places = npt.NDArray[np.intp]
 MANY = 500
 """Intervals that are compared, of more some are left out, though of no instant the determinants; and steps from one
 instant to the next, which shrink without end near a singularity."""
@@ -111,7 +109,7 @@ class Rows:
 
     values: Places
     rates: Places
-    wraps: npt.NDArray[np.bool_]
+    wraps: Mask
     coordinates: Places
     still: Array
 
@@ -177,7 +175,7 @@ class Branch:
         ranges = np.fmax.reduce(known, axis=1) - np.fmin.reduce(known, axis=1)
         return cls(problem, rows, np.fmax(ranges, _SLIGHT * still))
 
-    def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> npt.NDArray[np.bool_]:
+    def apart(self, first: Array, last: Array, h: Array, slight: float = _SLIGHT) -> Mask:
         """Whether neighbours (size, N), `h` apart, belong to two motions; misses of `slight` of a range are none."""
         rows, (known, watched) = self.rows, _motion_rows(self.problem.array)
         missed = watched.missed(first, last, h)

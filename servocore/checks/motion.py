@@ -14,7 +14,6 @@ from servocore.checks.branches import (
     FOLLOWED,
     Branch,
     Passage,
-    Places,
     ahead,
     coordinate_rows,
     is_closed_form,
@@ -23,7 +22,7 @@ from servocore.checks.branches import (
 from servocore.checks.findings import FEWEST, Finding
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Places
 from servocore.problem import Problem
 from servocore.references.base import subdivided, survey
 from servocore.stepping.exact_evaluation import exact_unknowns, unknowns_from

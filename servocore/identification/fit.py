@@ -15,13 +15,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy  # loads scipy.linalg when a fit calls it: all commands import this module
 
 from servocore.identification.logs import MOVES, Blocks
 from servocore.identification.prediction import DELAY, Predicted, Prediction
 from servocore.identification.splines import PathSpline
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Mask
 
 _STEPS, _ROUNDS = 25, 3
 HUBER = 3.0
@@ -190,7 +189,7 @@ class Fit:
         ]
         return State(change, tuple(moved)), information
 
-    def creeping(self, k: int, predicted: Predicted) -> npt.NDArray[np.bool_]:
+    def creeping(self, k: int, predicted: Predicted) -> Mask:
         """Return where drives rest or creep, so that dry friction is not known well enough, shape (N, inputs)."""
         m, values = self.prediction.inputs, self.stretches[k].values[:, self.inputs :]
         slope = np.linalg.norm(predicted.by_path[:, :m, 1], axis=2)
@@ -232,7 +231,7 @@ class Fit:
         return found
 
 
-def used(data: Blocks, factors: Array) -> npt.NDArray[np.bool_]:
+def used(data: Blocks, factors: Array) -> Mask:
     """Return which values count in full: neither missing, nor creeping, nor far off."""
     return np.asarray(factors > _COUNTED / data.noise, dtype=bool)
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from servocore.errors import InvalidReference, InvalidSetting, described
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Mask
 from servocore.references.csv_table import read_columns
 
 Log = str | PathLike[str] | Mapping[str, npt.ArrayLike]
@@ -258,7 +258,7 @@ def _blocks(t: Array, values: Array, inputs: int, log: int) -> Blocks:
     return Blocks(np.add.reduceat(t, first) / count, means, np.where(present > 0, noise, np.inf), log)
 
 
-def _outliers(x: Array) -> npt.NDArray[np.bool_]:
+def _outliers(x: Array) -> Mask:
     """Return which samples are far from the median of their neighbours (Hampel's identifier)."""
     known = np.flatnonzero(np.isfinite(x))
     if len(known) <= _NEIGHBOURS:

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.effects.closed_loop import run_loop
 from servocore.effects.position_loops import PositionLoops
@@ -18,7 +17,7 @@ from servocore.identification.fit import HUBER, Converged, Fit, correlation, per
 from servocore.identification.followed import followed
 from servocore.identification.prediction import showing
 from servocore.model.scene import Scene
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Mask
 from servocore.references.base import Reference
 
 _EXACT = 1e-5  # of the range of an input, less than sensors resolve: residuals of a log without noise
@@ -126,7 +125,7 @@ class Identified:
         return tuple(quantity.name for quantity in self.based_on.model().inputs)
 
     @cached_property
-    def _parts(self) -> list[tuple[Array, npt.NDArray[np.bool_], Array]]:
+    def _parts(self) -> list[tuple[Array, Mask, Array]]:
         """Of each stretch: residuals, which of them count, and rates of the positions, 0 where drives creep."""
         parts, fit, m = [], self.fit, self.fit.inputs
         for k, (data, weight) in enumerate(zip(fit.stretches, self.estimate.weights, strict=True)):

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Places
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +43,7 @@ class PathSpline:
         return self.intervals + self.degree
 
     @cached_property
-    def interval(self) -> npt.NDArray[np.intp]:
+    def interval(self) -> Places:
         """Interval of each instant, shape (N,)."""
         inside = ((self.t - self.t[0]) / self.spacing).astype(np.intp)
         return np.asarray(np.minimum(inside, self.intervals - 1), dtype=np.intp)

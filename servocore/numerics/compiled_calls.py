@@ -14,6 +14,8 @@ import numpy.typing as npt
 from servocore.numerics.memoization import made_once
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Places = npt.NDArray[np.intp]
 
 _LONG = 1000  # results of a function that is called instant by instant: mapped, its values would pass through memory
 

@@ -14,10 +14,9 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Places = npt.NDArray[np.intp]
+from servocore.numerics.compiled_calls import Array, Places
+
 Product = Callable[[Array], Array]
 
 LARGE = 128

@@ -14,7 +14,7 @@ from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.reduced import Reduced
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Places
 from servocore.numerics.stepped_runs import Instants
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
@@ -28,8 +28,6 @@ _FEWEST, _GROWTH, _MOST = 6, 1.25, 20_000  # steps that are tried
 _ASTRAY = 1e-3  # of the peak of an input: so much beside the checked solution is another motion
 _COMPARED = 51  # instants at which a case is compared with twice as many steps
 _MOST_DOUBLINGS = 6  # of the steps that the scene itself takes
-
-Cases = npt.NDArray[np.intp]
 
 
 class DynamicInversion:
@@ -184,7 +182,7 @@ class DynamicInversion:
         return inputs
 
     def _solve(
-        self, steps: ExplicitSteps, inputs: Array, cases: Cases, paths: list[Reference], t: Array, p: Array
+        self, steps: ExplicitSteps, inputs: Array, cases: Places, paths: list[Reference], t: Array, p: Array
     ) -> None:
         """Write the results of cases with paths of one kind into `inputs`; steps are doubled for those that need it."""
         compared = np.linspace(paths[0].start_time, paths[0].end_time, _COMPARED)

@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, InvalidSetting, require_kind
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array, chained, mapped, repeated
+from servocore.numerics.compiled_calls import Array, Places, chained, mapped, repeated
 from servocore.numerics.just_in_time import in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
@@ -146,12 +145,12 @@ def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> Conse
 _scheme, _in_machine_code = made_once(compile_conserving_step), made_once(in_machine_code)
 
 
-def _places(t: Array, step: float) -> npt.NDArray[np.intp]:
+def _places(t: Array, step: float) -> Places:
     """Return which step ends at each instant; raise `InvalidSetting` for an instant between two."""
     if not 0.0 < step < float("inf"):
         raise InvalidSetting(f"the step must be positive and finite, not {step} s")
     exact = (t - t[0]) / step
-    places: npt.NDArray[np.intp] = np.round(exact).astype(np.intp)
+    places: Places = np.round(exact).astype(np.intp)
     off = np.abs(exact - places)
     if off.max() > _ON_GRID:
         k = int(off.argmax())

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.checks.before_run import internal_dynamics
 from servocore.checks.better_solutions import LARGEST_UNWARNED, NOTICED, BetterSolver, excited_mode, stated_branch
@@ -20,7 +19,7 @@ from servocore.formulations.original import Original
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method, errs_less_with_smaller_steps
 from servocore.methods.collocation import RadauIIA
-from servocore.numerics.compiled_calls import Array, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, Places, call_of, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
 from servocore.references.base import subdivided
@@ -49,7 +48,7 @@ _EVERY, _GOOD = 8, 0.5  # instants at which so good states are judged: they do n
 _POOR = 0.1  # of the smallest singular value that all candidates together have
 
 States = tuple[tuple[int, int], ...]
-Places = tuple[npt.NDArray[np.intp], ...]
+Block = tuple[Places, ...]
 
 
 @dataclass(frozen=True)
@@ -218,13 +217,13 @@ def _quality(array: DerivativeArray, J: Array) -> Array:
 
 
 @made_once
-def _candidates(array: DerivativeArray) -> list[tuple[Places, Places]]:
+def _candidates(array: DerivativeArray) -> list[tuple[Block, Block]]:
     """Return rows and columns of the system Jacobian by level: those that are solved for, and all candidates.
 
     Derivatives that are no states are solved for: their columns must stay far from singular.
     """
     c, d = array.signature.equation_offsets, array.signature.variable_offsets
-    found = dict[tuple[tuple[int, ...], ...], tuple[Places, Places]]()  # levels often have the same
+    found = dict[tuple[tuple[int, ...], ...], tuple[Block, Block]]()  # levels often have the same
     for level in range(1, max(d) + 1):
         rows = tuple(i for i in range(len(c)) if c[i] >= level)
         candidates = tuple(j for j in range(len(d)) if d[j] >= level)

@@ -32,7 +32,7 @@ from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, call_of, side_by_side
+from servocore.numerics.compiled_calls import Array, Places, call_of, side_by_side
 from servocore.numerics.just_in_time import in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.numerics.newton import NEWTON_TOLERANCE
@@ -51,8 +51,6 @@ _DIVERGED = 100.0  # times the least error, with several times as many elements:
 _LOOSE = 3e-3  # of the root of a tolerance, for corrections of Newton's method
 _MOST_LOOPS = 32  # functions of whole runs that are kept
 _TRUTH = Reduced(), RadauIIA(5)
-
-Steps = npt.NDArray[np.intp]
 
 
 def prepare(
@@ -228,7 +226,7 @@ class PreparedInversion:
         self._code = in_machine_code(self, ("whole",), program.name, route.native)
         self._route = route
         self._problem, self._own = problem, self._posed(problem)
-        self._known: dict[tuple[bytes, float, float], tuple[Steps, Array]] = {}
+        self._known: dict[tuple[bytes, float, float], tuple[Places, Array]] = {}
         inputs = exact.values[:, : len(self.inputs)]
         with np.errstate(over="ignore", invalid="ignore"):  # so few elements may lead astray
             off = np.abs(self._read(self.whole, problem, self._own, exact.t) - inputs).max(axis=0)
@@ -305,7 +303,7 @@ class PreparedInversion:
         step, weights = self._weights(problem.reference, t)
         return np.asarray(np.einsum("nij,jn->ni", weights, states[:, step]))
 
-    def _weights(self, reference: Reference, t: Array) -> tuple[Steps, Array]:
+    def _weights(self, reference: Reference, t: Array) -> tuple[Places, Array]:
         """Return the steps at times, (N,), and the weights of the states at their ends, (N, inputs, entries).
 
         The last are kept: callers often use the same times again.

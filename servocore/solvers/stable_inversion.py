@@ -15,7 +15,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from servocore.checks.better_solutions import NOTICED, BetterSolver, stated_branch
 from servocore.checks.findings import ROUND_OFF
@@ -24,7 +23,7 @@ from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, 
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.collocation import Gauss
-from servocore.numerics.compiled_calls import Array, mapped, repeated, side_by_side
+from servocore.numerics.compiled_calls import Array, Places, mapped, repeated, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import subdivided
@@ -32,8 +31,6 @@ from servocore.solution import Solution
 from servocore.solvers.route import JudgedRoute, require_tolerance
 from servocore.solvers.runs import Progress, of_states, require_derivatives, solution_of_states, step_of
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium
-
-Places = npt.NDArray[np.int64]
 
 _MOST_HALVINGS = 8
 _MOST_STEPS = 100_000  # of the horizon
@@ -223,7 +220,7 @@ def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, Pla
     jacobian = ca.jacobian(residual, values)
     results = [ca.densify(residual), ca.vertcat(*jacobian.nonzeros())]
     function = ca.Function("sc_interval", [values, step.reference, step.step, dae.p], results, {"cse": True})
-    return function, np.array(jacobian.sparsity().get_triplet(), dtype=np.int64)
+    return function, np.array(jacobian.sparsity().get_triplet(), dtype=np.intp)
 
 
 def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:

@@ -17,13 +17,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from servocore.errors import InvalidModel
 from servocore.model.potentials import summands
 from servocore.model.symbols import Coordinates
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.compiled_calls import Array, Call, Mask
 from servocore.numerics.constraint_ranks import assembled, scaled_rows
 from servocore.numerics.square_systems import SquareSystem, compile_solver
 from servocore.stepping.energy_momentum_terms import step_terms
@@ -203,14 +202,12 @@ def require_invariant_constraints(system: MechanicalSystem, q: Array, p: Array) 
             )
 
 
-def _moments(look: Call, coordinates: Coordinates, axis: int, q: Array, p: Array) -> npt.NDArray[np.bool_]:
+def _moments(look: Call, coordinates: Coordinates, axis: int, q: Array, p: Array) -> Mask:
     """Return which constraints, and as last entry whether the potential, change in a rotation about an axis."""
     rate = _turned(coordinates, axis, q)
     G, slope = look(q, p)
     rows = np.vstack([G, slope.reshape(1, -1)])
-    changes: npt.NDArray[np.bool_] = np.abs(rows @ rate) > _ROUND_OFF * (
-        np.abs(rows) @ np.abs(rate) + np.finfo(np.float64).tiny
-    )
+    changes: Mask = np.abs(rows @ rate) > _ROUND_OFF * (np.abs(rows) @ np.abs(rate) + np.finfo(np.float64).tiny)
     return changes
 
 
