@@ -55,7 +55,7 @@ class Pointwise(JudgedRoute):
     formulation: Formulation
     native: bool | None = None
 
-    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+    def run(self, problem: Problem, times: Array, progress: Progress = lambda *_: None) -> Solution:
         """Invert at every instant; see `Route`.
 
         The guess of the model is a start, not a law: answers that do not continue their neighbours are found again,
@@ -94,7 +94,7 @@ class Pointwise(JudgedRoute):
         """Return the exact inversion again, from guesses beside the answers."""
         return BetterSolver(_perturbed, True, "the exact inversion, solved again,")
 
-    def _at_every_instant(self, problem: Problem, program: Program, times: Array, progress: Progress | None) -> Run:
+    def _at_every_instant(self, problem: Problem, program: Program, times: Array, progress: Progress) -> Run:
         """Solve every instant from the guess of the model, NaN where that fails; with the results of `_looking`."""
         require_derivatives(problem, program.start_order, f"{program.name} needs")
         evaluation = exact_evaluation(problem.resolved, _looking(problem.resolved, program), self.native, True)
@@ -107,8 +107,7 @@ class Pointwise(JudgedRoute):
             results = results or (columns if chunk >= count else [np.empty((len(column), count)) for column in columns])
             for result, part in zip(results, columns, strict=True):
                 result[:, k : k + chunk] = part
-            if progress is not None:
-                progress(min(k + chunk, count) - 1, count - 1)
+            progress(min(k + chunk, count) - 1, count - 1)
         states, counts, residuals, *looked = results
         worst = float(residuals.max())
         if not np.isfinite(worst):

@@ -126,7 +126,7 @@ class FixedStep(Stepped):
     ones to begin with.
     """
 
-    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+    def run(self, problem: Problem, times: Array, progress: Progress = lambda *_: None) -> Solution:
         """Step through the instants and report every one; see `Route`.
 
         Raises
@@ -167,8 +167,7 @@ class FixedStep(Stepped):
                 program = program_of(problem, formulation, self.method, self.native, len(times))
                 gamma = problem.reference.jet(times[at] + step * np.array(program.start_instants), program.start_order)
                 state = call_of(program.restart)(values[:, good], side_by_side(gamma), step, problem.p)[0]
-            if progress is not None:
-                progress(at, count)
+            progress(at, count)
         return solution_of(problem, segments)
 
 
@@ -255,7 +254,7 @@ class ToTolerance(Stepped):
 
     control: Adaptive = field(default_factory=Adaptive)
 
-    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+    def run(self, problem: Problem, times: Array, progress: Progress = lambda *_: None) -> Solution:
         """Solve to the tolerance; see `Route`.
 
         Raises

@@ -24,7 +24,7 @@ class Route(Protocol):
     `solve` takes a user's own in the place of the method.
     """
 
-    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+    def run(self, problem: Problem, times: Array, progress: Progress = lambda *_: None) -> Solution:
         """Solve a problem and report it at the instants `times`.
 
         Parameters
@@ -112,7 +112,7 @@ class JudgedRoute(ABC):
     """A route of the library: `solve` checks its results, and it estimates their accuracy itself."""
 
     @abstractmethod
-    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+    def run(self, problem: Problem, times: Array, progress: Progress = lambda *_: None) -> Solution:
         """Solve; see `Route`."""
 
     @abstractmethod

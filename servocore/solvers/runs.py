@@ -199,7 +199,7 @@ def first_state(problem: Problem, program: Program, step: float) -> tuple[Array,
     return state, report.residual
 
 
-def run_steps(problem: Problem, program: Program, t: Array, progress: Progress | None = None) -> Run:
+def run_steps(problem: Problem, program: Program, t: Array, progress: Progress = lambda *_: None) -> Run:
     """Step a form by a method from the start through the instants `t`, evenly apart.
 
     Raises
@@ -218,8 +218,7 @@ def run_steps(problem: Problem, program: Program, t: Array, progress: Progress |
         if not complete:
             raise step_failure(problem, program, state, float(t[at]), step)
         parts.append(part.at(slice(int(len(parts) > 0), None)))  # it begins at the last instant of the one before
-        if progress is not None:
-            progress(at, count)
+        progress(at, count)
     jets = [part.jets for part in parts if part.jets is not None]
     return Run(
         program,

@@ -112,7 +112,7 @@ def solve(
         require_feasible(problem, None if is_route else times)
 
     try:
-        solution = _run(problem, route, times, progress, checked)
+        solution = _run(problem, route, times, progress or (lambda *_: None), checked)
     except (InconsistentStart, IntegrationFailed) as error:
         from servocore.checks.failure_causes import explained  # noqa: PLC0415 - looked for where something failed
 
@@ -133,7 +133,7 @@ def solve(
     return solution
 
 
-def _run(problem: Problem, route: Route, times: Array, progress: Progress | None, checked: bool) -> Solution:
+def _run(problem: Problem, route: Route, times: Array, progress: Progress, checked: bool) -> Solution:
     """Run a route, and bring the exact motion that checks read; raise `LimitBroken` for a limit that is not kept.
 
     Without internal dynamics limits are kept by the exact motion, with them at the instants of the run.

@@ -92,7 +92,7 @@ class StableInversion(JudgedRoute):
         better = self.better(problem) if self.tolerance > NOTICED else None
         return stated_branch(problem, solution, better, "take a smaller tolerance for StableInversion")
 
-    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+    def run(self, problem: Problem, times: Array, progress: Progress = lambda *_: None) -> Solution:
         """Compute the bounded inputs on the grid of `times`, continued beyond both its ends; see `Route`.
 
         Raises
@@ -113,8 +113,7 @@ class StableInversion(JudgedRoute):
             states, iterations = _solve_on(bounded, mesh)
             values = of_states(problem, t, states[:, ::parts])
             now = solution_of_states(problem, t, values, f"{bounded.dae.name}, {self.name}", iterations)
-            if progress is not None:
-                progress(halvings + 1, _MOST_HALVINGS)
+            progress(halvings + 1, _MOST_HALVINGS)
             if last is not None:
                 inputs = len(problem.system.inputs)
                 change = np.abs(now.values - last.values)[:, :inputs].max(axis=0)

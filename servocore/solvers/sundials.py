@@ -47,7 +47,7 @@ class Sundials:
     def __post_init__(self) -> None:
         require_tolerance(self.rtol, "rtol of Sundials")
 
-    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+    def run(self, problem: Problem, times: Array, progress: Progress = lambda *_: None) -> Solution:
         """Integrate to the instants; see `Route`.
 
         Raises
@@ -80,8 +80,7 @@ class Sundials:
         if not np.isfinite(values).all():
             k = int(np.isfinite(values).all(axis=0).argmin())
             raise IntegrationFailed(f"{problem.name}: SUNDIALS led to no motion that can be at t = {times[k]:.6g} s")
-        if progress is not None:
-            progress(count, count)
+        progress(count, count)
         return solution_of_states(problem, times, values, f"{problem.system.name}, reduced, {self.name}")
 
 
