@@ -79,9 +79,9 @@ class Pointwise(JudgedRoute):
             raise step_failure(problem, program, done.states[:, 0], times[0], step_of(times)) from error
         if motion.states is not done.states:
             done = self._looked_at(problem, replace(done, states=motion.states))
-        motion = replace(motion, values=done.observed[0])
+        motion = replace(motion, values=done.observed[0], branch=FOLLOWED if followed else motion.branch)
         continuous_angles(motion, program, done.observed[0])
-        solution = solution_of(problem, [done], motion=motion, branch=FOLLOWED if followed else motion.branch)
+        solution = solution_of(problem, [done], motion=motion)
         return replace(solution, t=solution.t[::parts], values=solution.values[::parts]) if parts > 1 else solution
 
     @staticmethod

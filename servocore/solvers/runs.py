@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -47,8 +47,8 @@ class Run:
         Largest of all steps.
     observed : tuple of ndarray
         Values (channels, N), violations (4, N) and whatever was evaluated with them; empty where they are not known.
-    jets : ndarray, shape (N, orders, m), or None
-        Of the path at the instants, where the steps read them.
+    jets : ndarray, shape (N, orders, m)
+        Of the path at the instants, where the steps read them; empty elsewhere.
     """
 
     program: Program
@@ -58,22 +58,15 @@ class Run:
     factorizations: int = 0
     worst_residual: float = 0.0
     observed: tuple[Array, ...] = ()
-    jets: Array | None = None
+    jets: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def at(self, chosen: slice) -> Run:
         """Return the run at some of its instants."""
-        jets = None if self.jets is None else self.jets[chosen]
-        return replace(self, t=self.t[chosen], states=self.states[:, chosen], jets=jets)
+        return replace(self, t=self.t[chosen], states=self.states[:, chosen], jets=self.jets[chosen])
 
 
 def solution_of(
-    problem: Problem,
-    segments: list[Run],
-    route: str = "",
-    *,
-    refuse_turns: bool = True,
-    motion: Motion | None = None,
-    branch: str = "",
+    problem: Problem, segments: list[Run], route: str = "", *, refuse_turns: bool = True, motion: Motion | None = None
 ) -> Solution:
     """Observe the states of a run, each part by its own program, and sum the run up.
 
@@ -88,9 +81,7 @@ def solution_of(
     refuse_turns : bool
         Whether an angle that turns by half a turn within a step is refused, since its direction is ambiguous.
     motion : Motion, optional
-        The exact motion, for checks.
-    branch : str
-        How the run is known to be on one branch.
+        The exact motion, for checks, which says how the run is known to be on one branch.
 
     Raises
     ------
@@ -107,11 +98,9 @@ def solution_of(
     for k, channel in enumerate(program.channels):
         if channel.wraps and (np.abs(np.diff(values[:, k])) >= np.pi).any():
             values[:, k] = np.unwrap(values[:, k])
-    iterations = sum(part.newton_iterations for part in segments)
-    factorizations = sum(part.factorizations for part in segments)
     c, c_dot, g, g_dot = violations.max(axis=1).tolist()
-    totals = len(t) - 1, iterations, factorizations, max(part.worst_residual for part in segments)
     choices = 1 + sum(a.program is not b.program for a, b in pairwise(segments))
+    totals, branch = (len(t) - 1, *_totals(segments)), "" if motion is None else motion.branch
     summary = Statistics(*totals, c, c_dot, g, g_dot, choices_of_states=choices, branch=branch)
     fit_error = problem.reference.fit_error
     return Solution(t, program.channels, values, route or program.name, summary, fit_error, motion=motion)
@@ -137,7 +126,7 @@ def _observed(problem: Problem, segment: Run, refuse_turns: bool) -> tuple[Array
     """Return observed values (N, channels) and violations (4, N)."""
     program, t, known, jets = segment.program, segment.t, segment.observed, segment.jets
     orders = program.observe.size2_in(1)
-    if not known and jets is not None and jets.shape[1] >= orders:
+    if not known and len(jets) and jets.shape[1] >= orders:
         known = at_instants(program.observe, segment.states, jets=jets[:, :orders], p=problem.p)
     observed, violations, *_ = known or along_path(problem, program.observe, t, segment.states)
     table = observed.T
@@ -219,16 +208,16 @@ def run_steps(problem: Problem, program: Program, t: Array, progress: Progress =
             raise step_failure(problem, program, state, float(t[at]), step)
         parts.append(part.at(slice(int(len(parts) > 0), None)))  # it begins at the last instant of the one before
         progress(at, count)
-    jets = [part.jets for part in parts if part.jets is not None]
-    return Run(
-        program,
-        t,
-        np.hstack([part.states for part in parts]),
-        sum(part.newton_iterations for part in parts),
-        sum(part.factorizations for part in parts),
-        max(first_residual, *(part.worst_residual for part in parts)),
-        jets=np.concatenate(jets) if jets else None,
-    )
+    states, jets = np.hstack([part.states for part in parts]), np.concatenate([part.jets for part in parts])
+    iterations, factorizations, worst = _totals(parts)
+    return Run(program, t, states, iterations, factorizations, max(first_residual, worst), jets=jets)
+
+
+def _totals(parts: list[Run]) -> tuple[int, int, float]:
+    """Return Newton iterations and factorizations in all, and the largest residual."""
+    each = [(part.newton_iterations, part.factorizations, part.worst_residual) for part in parts]
+    iterations, factorizations, residuals = zip(*each, strict=True)
+    return sum(iterations), sum(factorizations), max(residuals)
 
 
 def step_of(t: Array) -> float:
@@ -272,7 +261,7 @@ def advance_chunk(
     states = np.hstack([state[:, None], states_after[:, :good]])
     iterations, factorizations = (round(total) for total in counts[:, :good].sum(axis=1))
     residual = float(worst[:good].max(initial=0.0))
-    at_ends = jets[:: len(program.nodes)][: good + 1] if program.nodes[-1] == 1.0 else None
+    at_ends = jets[:: len(program.nodes)][: good + 1] if program.nodes[-1] == 1.0 else jets[:0]
     return Run(program, t[: good + 1], states, iterations, factorizations, residual, jets=at_ends), good == used
 
 

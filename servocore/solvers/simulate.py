@@ -226,8 +226,7 @@ def _report(problem: Problem, t: Array, columns: tuple[Array, ...], totals: tupl
             row[:] = np.unwrap(row)
     unit = problem.system.outputs[0].unit
     tracking = Quantity("tracking_error", unit, "distance of the servo output from the reference")
-    c, c_dot, g, g_dot = violations.max(axis=1).tolist()
-    statistics = Statistics(*totals, c, c_dot, g, g_dot)
+    statistics = Statistics(*totals, *violations.max(axis=1).tolist())
     table = np.column_stack([values.T, violations[0]])
     name = f"{problem.system.name}, forward simulation"
     return with_run_quantities(Solution(t, (*known, tracking), table, name, statistics))
