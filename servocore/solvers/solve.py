@@ -98,7 +98,12 @@ def solve(
     ServocoreWarning
         If the run cannot succeed as it is set up, or an input is off by more than 5 % of its peak, or may be.
     """
-    _require_arguments(scene, formulation, method, step, output_step, progress)
+    require_scene(scene, "solve")
+    if formulation is not None:
+        require_formulation(formulation)
+    if method is not None:
+        require_method(method)
+    _require_settings(step, output_step, progress)
     problem, advice, form = Problem.of(scene, model, start), "", formulation or Reduced()
     if formulation is None and method is None:
         method, advice = recommended(problem)
@@ -139,13 +144,9 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress, check
     Without internal dynamics limits are kept by the exact motion, with them at the instants of the run.
     """
     limits = problem.motion_limits if checked else ()
-    if limits:
-        from servocore.checks.motion_limits import (  # noqa: PLC0415 - few have limits
-            with_limits_kept,
-            with_limits_required,
-            with_watched,
-        )
     if limits and not problem.flat:
+        from servocore.checks.motion_limits import with_limits_required, with_watched  # noqa: PLC0415 - few have limits
+
         watched = with_watched(problem)
         return with_limits_required(watched, with_run_quantities(route.run(watched, times, progress)))
     solution = with_run_quantities(route.run(problem, times, progress))
@@ -159,7 +160,11 @@ def _run(problem: Problem, route: Route, times: Array, progress: Progress, check
             if problem.resolved.holds(KINKS):  # the guess of the model may still do
                 motion = Motion(problem, solution.t, exact_unknowns(problem, solution.t)[0], by_guess=True)
         solution = replace(solution, motion=motion)
-    return with_limits_kept(motion, solution) if limits and motion is not None else solution
+    if not limits or motion is None:
+        return solution
+    from servocore.checks.motion_limits import with_limits_kept  # noqa: PLC0415 - as above
+
+    return with_limits_kept(motion, solution)
 
 
 def _checked(problem: Problem, route: Route, solution: Solution) -> Statistics:
@@ -199,20 +204,8 @@ def _findings(problem: Problem, solution: Solution) -> Iterator[Finding]:
             yield from hidden_values(motion, program_of(problem, Reduced()), motion.values)
 
 
-def _require_arguments(
-    scene: Scene,
-    formulation: Formulation | None,
-    method: Method | Route | None,
-    step: float | Adaptive | None,
-    output_step: float | None,
-    progress: Progress | None,
-) -> None:
-    """Raise `InvalidModel` or `InvalidSetting` if an argument is of the wrong kind."""
-    require_scene(scene, "solve")
-    if formulation is not None:
-        require_formulation(formulation)
-    if method is not None:
-        require_method(method)
+def _require_settings(step: float | Adaptive | None, output_step: float | None, progress: Progress | None) -> None:
+    """Raise `InvalidSetting` if a setting is of the wrong kind."""
     if step is not None and not isinstance(step, Adaptive):
         require_real(step, "the step", "a time in s or Adaptive(...)", InvalidSetting)
     if output_step is not None:
