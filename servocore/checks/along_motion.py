@@ -184,8 +184,7 @@ def jumps(motion: Motion) -> Iterator[Finding]:
     at, switches = with_switches(problem, motion.beside, Moments(motion.t, motion.states))
     rows = _motion_rows(problem.array)
     _, left, gaps = look(motion.beside, at, rows, _LEAST)
-    found = _of_motion(motion, left, gaps, rows)
-    yield from (finding for _, finding in sorted(found, key=lambda each: each[0]))
+    yield from _of_motion(motion, left, gaps, rows)
     yield from steps_passed(problem, *switches)
 
 
@@ -195,13 +194,14 @@ def _motion_rows(array: DerivativeArray) -> Rows:
     return Rows.of(array, [(j, order) for order in range(2) for j in range(len(array.system.coordinates))])
 
 
-def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Iterator[tuple[float, Finding]]:
-    """Yield the jumps of coordinates and velocities, and the gaps of a motion, with their times."""
+def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Iterator[Finding]:
+    """Yield the jumps of coordinates and velocities, and the gaps of a motion, in rising order."""
     quantities, path = motion.problem.system.coordinates.quantities, motion.problem.reference
     n, ranges = len(quantities), rows.ranges(motion.states)
     beside = 10.0 * ROUND_OFF * path.duration  # the time of a jump is known to round-off
     sides = [(short[0].of(k), short[1].of(k)) for k in np.arange(len(short[0].t))[:, None]]
-    for (left, right), gap in [*((ends, False) for ends in sides), *((ends, True) for ends in gaps)]:
+    every = [*((ends, False) for ends in sides), *((ends, True) for ends in gaps)]
+    for (left, right), gap in sorted(every, key=lambda each: float(each[0][0].t[0])):
         missed = rows.missed(left.states, right.states, right.t - left.t)[:, 0] / np.maximum(ranges, 1e-300)
         row = int(missed.argmax()) % (n if gap else 2 * n)
         quantity, begin, values = quantities[row % n], float(left.t[0]), list[float]()
@@ -219,7 +219,7 @@ def _of_motion(motion: Motion, short: Ends, gaps: list[Ends], rows: Rows) -> Ite
             of, per = ("", "") if row < n else ("the velocity of ", "/s")
             what = f"at t = {begin:.9g} s {of}{quantity.name} would have to jump from {before:.4g} to {after:.4g}"
             what += f" {quantity.unit}{per}, and the inputs to strike"
-        yield begin, Finding(f"{what}: {_SMOOTH}", error=IntegrationFailed)
+        yield Finding(f"{what}: {_SMOOTH}", error=IntegrationFailed)
 
 
 # Switches, and steps of mass and potential ----------------------------------------------------------------------------

@@ -277,29 +277,29 @@ def stated_branch(problem: Problem, solution: Solution, better: BetterSolver | N
         Remedy for inputs that are far off.
     """
     columns = [solution.names.index(name) for name in problem.system.coordinates.names]
-    comparison, said = None, list[str]()
+    doubts, elsewhere = list[str](), list[str]()
     if better is not None:
         try:
             comparison = better.compared(problem, solution, max(1, (len(solution.t) - 1) // FEWEST))
         except ServocoreError as error:
-            said.append("no more accurate motion is known")
+            doubts.append("no more accurate motion is known")
             warnings.warn(
                 f"{solution.route}: the inputs could not be compared with more accurate ones, and may be wrong:"
                 f" {error}",
                 ServocoreWarning,
                 stacklevel=5,
             )
-    if comparison is not None:
-        warn_of_wrong_inputs(solution, comparison, advice)
-        own, exact = comparison.solution.values[:, columns], comparison.better[:, columns]
-        far = np.abs(own - exact) > LARGEST_UNWARNED * np.ptp(exact, axis=0) + ROUND_OFF * np.abs(exact).max()
-        if not far.any():
-            return f"one: every instant is near {comparison.basis}, on the branch of the first"
+        else:
+            warn_of_wrong_inputs(solution, comparison, advice)
+            own, exact = comparison.solution.values[:, columns], comparison.better[:, columns]
+            far = np.abs(own - exact) > LARGEST_UNWARNED * np.ptp(exact, axis=0) + ROUND_OFF * np.abs(exact).max()
+            if not far.any():
+                return f"one: every instant is near {comparison.basis}, on the branch of the first"
+            time = comparison.solution.t[far.any(axis=1).argmax()]
+            elsewhere.append(f"{comparison.basis} is elsewhere from t = {time:.6g} s on")
     odd, t = steps_that_stand_out(solution.values[:, columns]), solution.t
     if len(odd):
-        said.append(f"the step from t = {t[odd[0]]:.6g} s to {t[odd[0] + 1]:.6g} s is much larger than its neighbours")
-    if comparison is not None:
-        time = comparison.solution.t[far.any(axis=1).argmax()]
-        said.append(f"{comparison.basis} is elsewhere from t = {time:.6g} s on")
-    verdict = "not known" if len(odd) or (said and comparison is None) else "one"
-    return f"{verdict}: {', and '.join(said or ['no step of the motion stands out from its neighbours'])}"
+        begin, end = t[odd[0]], t[odd[0] + 1]
+        doubts.append(f"the step from t = {begin:.6g} s to {end:.6g} s is much larger than its neighbours")
+    said = ", and ".join([*doubts, *elsewhere] or ["no step of the motion stands out from its neighbours"])
+    return f"{'not known' if doubts else 'one'}: {said}"

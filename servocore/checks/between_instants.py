@@ -96,8 +96,7 @@ def look(
 
 
 def _known(at: Moments) -> Mask:
-    known: Mask = np.logical_and.reduce(np.isfinite(at.states), axis=0)
-    return known
+    return np.asarray(np.isfinite(at.states).all(axis=0))
 
 
 @made_once

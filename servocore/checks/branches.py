@@ -138,8 +138,7 @@ class Rows:
         way -= rates
         if self.wraps.any():
             way[self.wraps] = wrapped_angle(way[self.wraps])
-        missed: Array = np.abs(way, out=way)
-        return missed
+        return np.asarray(np.abs(way, out=way))
 
 
 @made_once
@@ -248,11 +247,9 @@ def on_one_branch(
 
     `known` are the determinants of the answers that are given, where they are known.
     """
-    some = some_of(states)
-    branch = Branch.of(problem, some)
+    branch = Branch.of(problem, some_of(states))
     kept = _with_a_beginning(branch, t, states)
-    incomplete = kept is not states
-    far = _far(branch, t, some_of(kept) if incomplete else some)
+    incomplete, far = kept is not states, _far(branch, t, some_of(kept))
     known = branch.determinants(t, kept) if known is None or incomplete else known
     changes, passages = _sign_changes(branch, t, kept, known)
     waiting, replaced = sorted({*far, *changes}, reverse=True), False

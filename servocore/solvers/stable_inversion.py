@@ -199,8 +199,7 @@ def _horizon(bounded: _Bounded, route: StableInversion, step: float) -> Array:
         raise IntegrationFailed(
             f"{name}: a mode of {rate:.2g}/s takes {before + after:.2g} steps beside the path to decay; {_OTHERWISE}"
         )
-    grid: Array = reference.start_time + step * np.arange(-before, inside + after + 1.0)
-    return grid
+    return np.asarray(reference.start_time + step * np.arange(-before, inside + after + 1.0))
 
 
 @made_once
