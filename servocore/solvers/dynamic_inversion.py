@@ -11,8 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
-from servocore.formulations.reduced import Reduced
-from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, Places
 from servocore.numerics.stepped_runs import Instants
@@ -94,7 +92,7 @@ class DynamicInversion:
         require_stable(problem)
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
         self._steps: ExplicitSteps = compile_explicit_steps(problem.resolved, problem.reference.formula, native)
-        checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
+        checked = solve(scene, model=model, start=start)
         self._start = self._starts([problem.reference], problem.p[None])[0]
         self._known: dict[bytes, Instants] = {}
         self.steps = self._enough(checked)

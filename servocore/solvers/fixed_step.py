@@ -43,7 +43,9 @@ from servocore.stepping.program import program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import system_jacobian
 
-_BETTER_METHOD = RadauIIA(5)
+BETTER_METHOD = RadauIIA(5)
+"""What steps are compared with, on the reduced form."""
+
 _EVERY, _GOOD = 8, 0.5  # instants at which so good states are judged: they do not turn poor and good again in between
 _POOR = 0.1  # of the smallest singular value that all candidates together have
 
@@ -74,7 +76,7 @@ class Stepped(JudgedRoute):
         if internal_dynamics(problem).grows:
             return BetterSolver(StableInversion().run, True, "the stable inversion")
         form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
-        return BetterSolver(FixedStep(form, _BETTER_METHOD).run, False, f"{_BETTER_METHOD.name} on the reduced form")
+        return BetterSolver(FixedStep(form, BETTER_METHOD).run, False, f"{BETTER_METHOD.name} on the reduced form")
 
     def branch_statement(self, problem: Problem, solution: Solution) -> str:
         """Compare a solution with the exact motion, or with a better solution where it is doubtful."""

@@ -30,7 +30,6 @@ from servocore.errors import (
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
-from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, Places, call_of, side_by_side
 from servocore.numerics.just_in_time import in_machine_code
@@ -39,7 +38,7 @@ from servocore.numerics.newton import NEWTON_TOLERANCE
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of, time_grid
 from servocore.solution import Solution
-from servocore.solvers.fixed_step import FixedStep
+from servocore.solvers.fixed_step import BETTER_METHOD, FixedStep
 from servocore.solvers.route import require_inside, require_stable, require_tolerance
 from servocore.solvers.runs import first_state
 from servocore.solvers.solve import solve
@@ -50,7 +49,6 @@ _FEWEST, _GROWTH, _MOST = 4, 1.15, 2000  # elements that are tried
 _DIVERGED = 100.0  # times the least error, with several times as many elements: round-off grows
 _LOOSE = 3e-3  # of the root of a tolerance, for corrections of Newton's method
 _MOST_LOOPS = 32  # functions of whole runs that are kept
-_TRUTH = Reduced(), RadauIIA(5)
 
 
 def prepare(
@@ -127,7 +125,7 @@ def prepare(
     if not problem.dae(formulation).x.numel():
         raise InvalidModel(f"{scene.name} has nothing to integrate on this form: ExactInversion computes its inputs")
     require_stable(problem)
-    exact = solve(scene, *_TRUTH, model=model, start=start)
+    exact = solve(scene, Reduced(), BETTER_METHOD, model=model, start=start)
     newton = NEWTON_TOLERANCE
     if elements is None:
         elements, newton = _fewest(problem, FixedStep(formulation, method, native=False), exact, tolerance)
