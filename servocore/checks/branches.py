@@ -213,9 +213,16 @@ class Branch:
             waiting.append(middle)
         return state, begin
 
-    def follow_to(self, state: Array, begin: float, end: float) -> Array:
-        """Return the answer at `end`, across singularities; raise `IntegrationFailed` if the branch ends before."""
+    def follow_to(self, state: Array, begin: float, end: float) -> tuple[Array, float]:
+        """Return the answer at `end`, and the time of the first singularity that it passes, or `end`.
+
+        Raises
+        ------
+        IntegrationFailed
+            If the branch ends before.
+        """
         reached, time = self.follow(state, begin, end)
+        regular = time
         if time != end:
             reached, time = self.follow(state, begin, end, across=True)
         if time != end:
@@ -223,7 +230,7 @@ class Branch:
                 f"{self.problem.system.name}: the branch cannot be followed beyond t = {time:.9g} s: it ends there, or"
                 " meets another"
             )
-        return reached
+        return reached, regular
 
     def _continued(self, state: Array, begin: float, end: float, own: Array | None) -> Array | None:
         """Return the answer at `end`, None if it is not seen to be on the branch, with determinants like `own`."""
@@ -258,14 +265,13 @@ def on_one_branch(
     while waiting:
         k = waiting.pop()
         begin, end = float(t[k]), float(t[k + 1])
-        reached, time = branch.follow(kept[:, k], begin, end)
+        try:
+            reached, time = branch.follow_to(kept[:, k], begin, end)
+        except IntegrationFailed:
+            if replaced or not is_closed_form(problem, t, states):
+                raise
+            return states, CLOSED_FORM, ()
         if time != end:
-            try:
-                reached = branch.follow_to(kept[:, k], begin, end)
-            except IntegrationFailed:
-                if replaced or not is_closed_form(problem, t, states):
-                    raise
-                return states, CLOSED_FORM, ()
             passages.append(_passage(branch, kept[:, k], reached, begin, end, time))
         off = branch.rows.missed(reached[:, None], kept[:, k + 1, None], np.zeros(1))
         if (off[:, 0] <= _SLIGHT * branch.scale).all():

@@ -84,7 +84,7 @@ class Motion:
         unknowns = unknowns_from(self.problem, t, ahead(self.problem.array, first, h))
         branch = Branch.of(self.problem, self.states)
         for k in np.flatnonzero(branch.apart(first, unknowns, h)):
-            unknowns[:, k] = branch.follow_to(first[:, k], float(self.t[near[k]]), float(t[k]))
+            unknowns[:, k], _ = branch.follow_to(first[:, k], float(self.t[near[k]]), float(t[k]))
         return unknowns
 
     def beside(self, left: Array, states: Array, t: Array) -> Array:
