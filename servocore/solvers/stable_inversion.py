@@ -229,8 +229,10 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
     nodes = (mesh[:-1, None] + h * bounded.method.tableau.c).ravel()
     linearized, ends = _collocation(bounded, h, nodes)
     y = _quasi_static(bounded, nodes)
-    residual, jacobian = linearized(y)
     for iteration in range(1, _MOST_ITERATIONS + 1):
+        residual, jacobian = linearized(y)
+        if not np.isfinite(residual).all():
+            break
         try:
             # A chain of blocks and a few boundary rows: sparse LU fills in little.
             change = scipy.sparse.linalg.splu(jacobian).solve(-residual)
@@ -238,11 +240,8 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
             break
         # Full steps: residuals that grow at first fall again, where damped ones get stuck.
         y = y + change
-        residual, jacobian = linearized(y)
         if np.abs(change).max() <= 1e-10 * (1.0 + np.abs(y).max()):
             return y[ends].T, iteration
-        if not np.isfinite(residual).all():
-            break
     resonance, short = "undamped internal dynamics in resonance with it", "a horizon that is too short"
     raise IntegrationFailed(
         f"{bounded.problem.system.name}: Newton's method on the whole horizon failed with {len(mesh) - 1} intervals;"
