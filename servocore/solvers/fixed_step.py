@@ -165,7 +165,7 @@ class FixedStep(Stepped):
             at, state = at + good, part.states[:, good]
             if better is not None and at < count:
                 restarted_at = at
-                formulation = replace(formulation, states=tuple((array.names[j], order) for j, order in better))
+                formulation = replace(formulation, states=array.named(better))
                 program = program_of(problem, formulation, self.method, self.native, len(times))
                 gamma = problem.reference.jet(times[at] + step * np.array(program.start_instants), program.start_order)
                 state = call_of(program.restart)(values[:, good], side_by_side(gamma), step, problem.p)[0]
@@ -202,8 +202,7 @@ def _states_at_start(problem: Problem, formulation: Reduced) -> Reduced:
     """Return a form with the best states at the guess of the model where the path starts."""
     array, time = problem.array, problem.reference.start_time
     values = guessed_unknowns(problem, np.array([time]))[:, 0]
-    names = tuple((array.names[j], order) for j, order in _best_states(problem, array, time, values))
-    return replace(formulation, states=names)
+    return replace(formulation, states=array.named(_best_states(problem, array, time, values)))
 
 
 def _quality(array: DerivativeArray, J: Array) -> Array:

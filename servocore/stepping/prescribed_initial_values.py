@@ -82,7 +82,7 @@ def start_unknowns(problem: Problem, gamma: Array, p: Array) -> tuple[Array, Arr
     array, count = problem.array, len(gamma)
     states = _states(array, problem.start, problem.system.name) if problem.start else []
     # With these as states the array determines all other unknowns.
-    guess, search = _inversion(problem.resolved, tuple((array.names[j], order) for j, order in states))
+    guess, search = _inversion(problem.resolved, array.named(states))
     given = side_by_side(gamma[:, : array.reference_order + 1]), p.T
     values = mapped(guess, count)(*given)[0].reshape(-1, count, order="F")
     values[array.places(states)] = np.reshape([*problem.start.values()], (-1, 1))
@@ -96,7 +96,7 @@ def require_start(problem: Problem) -> None:
     array, name = problem.array, problem.system.name
     states = _states(array, problem.start, name)
     try:
-        _inversion(problem.resolved, tuple((array.names[j], order) for j, order in states))
+        _inversion(problem.resolved, array.named(states))
     except InvalidModel as error:
         names = ", ".join(_plain(*state) for state in array.named_states)
         raise InvalidSetting(

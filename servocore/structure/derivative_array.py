@@ -87,7 +87,11 @@ class DerivativeArray:
     @property
     def named_states(self) -> tuple[tuple[str, int], ...]:
         """The states by name of the variable and order of the derivative."""
-        return tuple((self.names[j], order) for j, order in self.states)
+        return self.named(self.states)
+
+    def named(self, entries: Iterable[tuple[int, int]]) -> tuple[tuple[str, int], ...]:
+        """Return derivatives of variables by their names."""
+        return tuple((self.names[j], order) for j, order in entries)
 
     @property
     def inputs(self) -> list[int]:
