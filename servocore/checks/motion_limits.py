@@ -114,8 +114,6 @@ def _at_its_instants(motion: Motion, watched: Watched) -> Array:
 def require_limits(motion: Motion) -> Array:
     """Return the limited quantities at the instants of a motion; raise `LimitBroken` if one goes beyond its limit."""
     problem, limits = motion.problem, motion.problem.motion_limits
-    if not limits:
-        return np.empty((0, len(motion.t)))
     _require_derivatives(problem, limits, watched_limits(problem))
     values = limited_values(motion)
 

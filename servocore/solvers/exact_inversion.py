@@ -210,8 +210,6 @@ class ExactInversion:
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool | None = None) -> None:
-        from servocore.checks.motion_limits import require_limits  # noqa: PLC0415 - few `solve`s have limits
-
         require_scene(scene, "ExactInversion")
         problem = Problem.of(scene, model)
         if not problem.flat or scene.follow_branch:
@@ -223,7 +221,10 @@ class ExactInversion:
         self._evaluation = input_evaluation(problem, native)
         self._evaluation.by_expression.prepare(scene.reference)
         self._motion = prepared_motion(problem)
-        require_limits(self._motion)
+        if problem.motion_limits:
+            from servocore.checks.motion_limits import require_limits  # noqa: PLC0415 - few scenes have limits
+
+            require_limits(self._motion)
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
         self.inputs = tuple(channel.name for channel in problem.system.inputs)
 

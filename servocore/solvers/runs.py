@@ -175,9 +175,8 @@ def first_state(problem: Problem, program: Program, step: float) -> tuple[Array,
         If the start of the problem does not name the states of its internal dynamics.
     """
     require_derivatives(problem, program.start_order, f"{program.name} needs")
-    reference = problem.reference
-    time = reference.start_time
-    past = reference.jet(time + step * np.array(program.start_instants), program.start_order)
+    time = problem.reference.start_time
+    past = problem.reference.jet(time + step * np.array(program.start_instants), program.start_order)
     if problem.start:
         return prescribed_start(problem, program.restart, past, step)
     state, report = program.begin(past, problem.p, step)
