@@ -308,7 +308,8 @@ class PreparedInversion:
         """
         h = reference.duration / self.elements
         key = t.tobytes(), h, reference.start_time
-        if key not in self._known:
+        known = self._known.get(key)
+        if known is None:
             place = (t - key[2]) / h
             step = np.clip(np.ceil(place), 0, self.elements).astype(np.intp)
             # The first state is that at the end of a step before the path.
@@ -316,8 +317,9 @@ class PreparedInversion:
             dense, entries = _dense_output(self.program)
             shape = len(self.inputs), len(entries)
             weights = [call_of(dense)(fraction, h)[0].reshape(shape, order="F") for fraction in fractions]
-            self._known = {key: (step, np.array(weights).reshape(-1, *shape))}
-        return self._known[key]
+            known = step, np.array(weights).reshape(-1, *shape)
+            self._known = {key: known}
+        return known
 
 
 @made_once
