@@ -133,8 +133,7 @@ def _first_slack(problem: Problem, signed: Sequence[Quantity]) -> str:
     def values(t: Array) -> Array:
         return evaluate(problem, t)[0]
 
-    path = problem.reference
-    t = survey(path)
+    t = survey(problem.reference)
     found = values(t)
     bad = np.flatnonzero(~(found > 0.0).all(axis=0))
     if not len(bad) or bad[0] == 0:

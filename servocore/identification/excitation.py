@@ -125,8 +125,7 @@ def excitation(
         raise PlanningFailed(f"{scene.name} has unstable internal dynamics: a search needs too many stable inversions")
     names = chosen_parameters(parameters, problem)
     search = _Search.of(extended, names, spreads_of(names, believed), float(duration))
-    best = search.improved(np.random.default_rng(seed))
-    path, kept = search.certified(best)
+    path, kept = search.certified(search.improved(np.random.default_rng(seed)))
     errors, own = (search.errors(each) for each in (path, scene.reference))
     gain = float(np.exp(np.mean(np.log(own / errors))))
     named = [dict(zip(names, each.tolist(), strict=True)) for each in (errors, own)]

@@ -143,8 +143,7 @@ class Fit:
             values = self.prediction.values(self.splines[k].jets(state.paths[k]), self.parameters(state))
         data, m = self.stretches[k], self.inputs
         bias, delay = self.offsets(state)[data.log]
-        u = values[:, :m]
-        rate = np.gradient(u, data.t, axis=0)
+        rate = np.gradient(values[:, :m], data.t, axis=0)
         rate -= delay * np.gradient(rate, data.t, axis=0)
         expected = values.copy()
         expected[:, :m] += bias - delay * rate - delay**2 / 2 * np.gradient(rate, data.t, axis=0)

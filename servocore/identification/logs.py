@@ -114,8 +114,8 @@ def _record(log: Log, name: str, scene: Scene, positions: Mapping[str, Quantity]
         t, columns = _arrays(name, {key: log[key] for key in log if key == _TIME or key in known})
     else:
         raise InvalidSetting(f"{name} must be a CSV file or a mapping of arrays with time, not {described(log)}")
-    columns = {renamed[key] if renamed.get(key, key) not in columns and key in renamed else key: column
-               for key, column in columns.items()}  # fmt: skip
+    names = [own if (own := renamed.get(key, key)) not in columns else key for key in columns]
+    columns = dict(zip(names, columns.values(), strict=True))
     for label in inputs:
         if label not in columns:
             raise InvalidReference(

@@ -56,8 +56,7 @@ class PathSpline:
         inside = (self.t - self.t[0]) / self.spacing - self.interval
         cardinal = BSpline.basis_element(np.arange(self.degree + 2), extrapolate=False)
         at = np.clip(inside, 0.0, 1.0 - 1e-12)[:, None] + np.arange(self.degree, -1, -1)
-        rows = [np.nan_to_num(cardinal(at, k)) / self.spacing**k for k in range(self.orders)]
-        return np.stack(rows, axis=1)
+        return np.stack([np.nan_to_num(cardinal(at, k)) / self.spacing**k for k in range(self.orders)], axis=1)
 
     def jets(self, coefficients: Array) -> Array:
         """Return the path and its derivatives (N, orders, components) from coefficients (count, components)."""

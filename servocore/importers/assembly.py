@@ -91,8 +91,7 @@ class Assembly(Layout):
         named = [name if name in self.tree.body else name.rpartition(".")[0] for name in self.output_names]
         tips = dict.fromkeys([*self.loads, *(name for name in named if name in self.tree.body)])
         origins = {stage: position for stage, (_, position) in self.motion.world.items()}
-        parts: list[tuple[str, tuple[ca.SX, ...], str]] = []
-        parts += [("pin", (origins[k],), "") for k in range(len(self.stages))]
+        parts: list[tuple[str, tuple[ca.SX, ...], str]] = [("pin", (origins[k],), "") for k in range(len(self.stages))]
         parts += [("bar", (origins[stage.base.stage], origins[k]), "") for k, stage in enumerate(self.stages)]
         parts += [("rope", (origins[self.anchor(body)], self.point(body)), "") for body in self.ropes]
         for name in tips or [self.tree.bodies[-1].name]:

@@ -162,12 +162,11 @@ class _Reader:
             free = Joint.free(name, rotation, m.qpos0[place : place + 3], **same)
             return free if kind == "free" else [replace(free[-1], anchor=np.array(m.jnt_pos[j]))]
         lower, upper = self._range("jnt_", j)
-        joint = Joint(
+        return [Joint(
             name, kind, np.array(m.jnt_axis[j]), np.array(m.jnt_pos[j]), lower, upper,
             effort=max(map(abs, self._range("jnt_actfrc", j))), stiffness=float(m.jnt_stiffness[j]),
             rest=float(m.qpos_spring[place]), zero=float(m.qpos0[place]), **same,
-        )  # fmt: skip
-        return [joint]
+        )]  # fmt: skip
 
     def _tendon(self, k: int, name: str) -> Tendon:
         m, terms, branches, refusal = self.m, dict[str, float](), [(1.0, list[str]())], ""

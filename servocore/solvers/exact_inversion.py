@@ -87,8 +87,7 @@ class Pointwise(JudgedRoute):
     @staticmethod
     def _looked_at(problem: Problem, run: Run) -> Run:
         """Return a run with the results of `_looking`."""
-        looked = along_path(problem, _looking(problem.resolved, run.program), run.t, run.states)
-        return replace(run, observed=looked)
+        return replace(run, observed=along_path(problem, _looking(problem.resolved, run.program), run.t, run.states))
 
     def better(self, _: Problem) -> BetterSolver:
         """Return the exact inversion again, from guesses beside the answers."""
