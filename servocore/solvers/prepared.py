@@ -291,8 +291,7 @@ class PreparedInversion:
         program, reference = self.program, problem.reference
         h = reference.duration / self.elements
         first, _ = first_state(problem, program, h)
-        ends = time_grid(reference, h)[1:]
-        nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * h).ravel()
+        nodes = program.node_times(time_grid(reference, h)[1:], h)
         return first, np.asfortranarray(side_by_side(reference.jet(nodes, program.order))), h, problem.p
 
     def _read(self, run: ca.Function, problem: Problem, posed: tuple[Array, Array, float, Array], t: Array) -> Array:

@@ -239,8 +239,7 @@ def advance_chunk(
     """
     used = len(t) - 1
     # All chunks are of one length, so that one compiled loop serves them: to build another costs more than padding.
-    ends = t[np.minimum(np.arange(1, length + 1), used)]
-    nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * step).ravel()
+    nodes = program.node_times(t[np.minimum(np.arange(1, length + 1), used)], step)
     jets = problem.reference.jet(np.append(t[0], nodes), program.order)
     states_after, counts, worst = chained(program.step, length)(
         state,

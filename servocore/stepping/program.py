@@ -104,6 +104,23 @@ class Program:
         """Instants of the reference in a step, as fractions of the step."""
         return self.discretization.nodes
 
+    def node_times(self, ends: Array, h: float) -> Array:
+        """Return the instants of the reference in steps that end at given ones, one step after the other.
+
+        Parameters
+        ----------
+        ends : ndarray, shape (N,)
+            In s.
+        h : float
+            Step in s.
+
+        Returns
+        -------
+        ndarray, shape (N * nodes,)
+            In s.
+        """
+        return np.asarray(ends[:, None] - (1.0 - np.array(self.nodes)) * h).ravel()
+
     @property
     def equations(self) -> tuple[str, ...]:
         """Names of the equations of a step."""
