@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -26,7 +25,6 @@ from servocore.checks.motion import Motion
 from servocore.errors import IntegrationFailed, InvalidModel, ServocoreError
 from servocore.model.limits import Limit, reported_quantities
 from servocore.model.quantity import Quantity
-from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import JUMPS, KINKS, holds_any, switching_levels
@@ -64,19 +62,16 @@ def with_redundant_constraints_as_limits(problem: Problem) -> Problem:
     """
     if not problem.resolved.redundant:
         return problem
+    shares = ca.vertsplit(problem.resolved.left_out_shares)
     limits = tuple(
         Limit(
             f"the share of {name} that is left", "1",
             -LEFT_OUT_HOLDS, f"the holonomic constraint {name} does not hold, {_WHY}",
-            partial(_share, problem.resolved, row), upper=LEFT_OUT_HOLDS,
+            lambda _, share=share: share, upper=LEFT_OUT_HOLDS,
         )
-        for row, name in enumerate(_names(problem))
+        for name, share in zip(_names(problem), shares, strict=True)
     )  # fmt: skip
     return replace(problem, limits=problem.limits + limits)
-
-
-def _share(resolved: ResolvedSystem, row: int, system: MechanicalSystem) -> ca.SX:  # noqa: ARG001 - a part of the key
-    return resolved.left_out_shares[row]
 
 
 def _names(problem: Problem) -> list[str]:
