@@ -220,10 +220,9 @@ def _report(problem: Problem, t: Array, columns: tuple[Array, ...], totals: tupl
     _require_no_steps(problem, t, columns[0])
     told(problem.system.name, "", left_out(problem, t, columns[0][: len(problem.system.coordinates)]))
     values, violations = along_path(problem, function, t, *columns)
-    for row, quantity in zip(values, known, strict=True):
-        if quantity.wraps:
-            # atan2 jumps by a full turn where a motion is continuous.
-            row[:] = np.unwrap(row)
+    # atan2 jumps by a full turn where a motion is continuous.
+    wraps = [quantity.wraps for quantity in known]
+    values[wraps] = np.unwrap(values[wraps], axis=1)
     unit = problem.system.outputs[0].unit
     tracking = Quantity("tracking_error", unit, "distance of the servo output from the reference")
     statistics = Statistics(*totals, *violations.max(axis=1).tolist())
