@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.certificate.chebyshev import Places, arithmetic, model_of
 from servocore.certificate.equations import block_signs, equations_of, given_models, radii
 from servocore.certificate.proof import REACH, PartialProof, Proof, smallest_peaks
 from servocore.certificate.statements import DEFINITE, Claim, Statement, claims_of, known, stated, walk_of_limits
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Mask
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import unknowns_near
 from servocore.structure.derivative_array import DerivativeArray
@@ -106,7 +105,7 @@ def _singular(proof: Proof, solution: Solution | None) -> Statement | None:
     return None
 
 
-def _meets(array: DerivativeArray, solution: Solution, at: Places, x: Array, D: Array) -> npt.NDArray[np.bool_]:
+def _meets(array: DerivativeArray, solution: Solution, at: Places, x: Array, D: Array) -> Mask:
     """Return at which instants of a solution, by number, what it reports of the unknowns is within D of x (size, N)."""
     meets = np.ones(len(at), dtype=bool)
     for k, (j, order) in enumerate(array.unknowns):

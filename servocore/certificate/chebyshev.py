@@ -157,11 +157,6 @@ class Arithmetic:
         return self.rows(self.nodes)
 
     @cached_property
-    def at_middle(self) -> Array:
-        """Matrix from coefficients to the value in the middle of the box."""
-        return self.rows(np.zeros((1, len(self.degrees))))
-
-    @cached_property
     def interpolation(self) -> Array:
         """Matrix from values at the nodes to coefficients."""
         return np.asarray(np.linalg.inv(self.at_nodes), dtype=np.float64)
@@ -246,12 +241,15 @@ class Arithmetic:
         q[-1] = norm(q[:-1]) * self._off(self.product(q, a)) * UP
         return q
 
-    def root(self, a: Model) -> Model:
-        """Return the square root of a: with q^2 a = 1 + d, q positive, it is q a (1 + d)^(-1/2)."""
+    def root(self, a: Model, least: float = -np.inf) -> Model:
+        """Return the square root of a, of which no value is below `least`: infinite radii where one may be negative.
+
+        With q^2 a = 1 + d, q positive, it is q a (1 + d)^(-1/2).
+        """
         q = self.tried(1.0 / np.sqrt(self.values(a)))
         s = self.product(q, a)
         s[-1] = (s[-1] + magnitude(s) * self._off(self.product(q, s))) * UP
-        return self._or_range(s, lambda x: np.sqrt(np.maximum(x, 0.0)), a)  # for values with which it is defined
+        return self._or_range(s, lambda x: np.sqrt(np.maximum(x, least)), a)
 
     def logarithm(self, a: Model) -> Model:
         """Return log(a) for positive a: with a e^(-y) = 1 + d, it is y + log(1 + d)."""
@@ -292,13 +290,15 @@ class Arithmetic:
 
     def _middle(self, a: Model) -> tuple[Array, Array]:
         """Return values of polynomials in the middle of the box and bounds of their rounding errors."""
-        return _applied(self.at_middle, a[:-1])[0], (len(a) + 7) * UNIT * norm(a[:-1])
+        at_middle = self.rows(np.zeros((1, len(self.degrees))))
+        return _applied(at_middle, a[:-1])[0], (len(a) + 7) * UNIT * norm(a[:-1])
 
     def rising(self, function: Callable[[Array], Array], a: Model) -> Model:
-        """Return a function that nowhere falls: any value between those at the ends of the range of a."""
+        """Return an exact function that nowhere falls: any value between those at the ends of the range of a."""
         least, most = (function(each) for each in self.span(a))
         found = self.constant((least + most) / 2.0)
-        found[-1] = (most - least) / 2.0 + _ULPS * (np.abs(least) + np.abs(most))
+        found[-1] = (most - least) / 2.0 + _ULPS * (np.abs(least) + np.abs(most)) * (least != most)
+        found[-1, ~np.isfinite(a[-1])] = np.inf  # there may be no value
         return found
 
     def _or_range(self, found: Model, function: Callable[[Array], Array], a: Model) -> Model:
@@ -309,6 +309,7 @@ class Arithmetic:
         if (found[-1] <= _NARROW).all():
             return found
         around = self.rising(function, a)
+        around[-1] += 2.0 * _ULPS * magnitude(around)
         return np.where(around[-1] < bounded(found)[-1], around, found)
 
     def hyperbolic_tangent(self, a: Model) -> Model:

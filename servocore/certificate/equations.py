@@ -22,11 +22,10 @@ from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from servocore.certificate.chebyshev import UNIT, UP, Arithmetic, Model, arithmetic, magnitude, model_of, norm
 from servocore.certificate.walk import CONSTANT, Walk, lowered
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Mask
 from servocore.numerics.components import Part, places_of, triangular_blocks
 from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import KINKS, computed, holds_any, rebuilt
@@ -222,7 +221,7 @@ def given_models(problem: Problem, array: DerivativeArray, ring: Arithmetic, end
 
 def radii(
     equations: Equations, ring: Arithmetic, x: Array, given: Model, D: Array, sizes: Array
-) -> tuple[Array, npt.NDArray[np.bool_], Array, Array]:
+) -> tuple[Array, Mask, Array, Array]:
     """Return bounds (unknowns, boxes) of the distance of the one solution from polynomials; infinite for no proof.
 
     Parameters

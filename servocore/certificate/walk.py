@@ -17,14 +17,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.certificate.chebyshev import LANES, MINUS, PLUS, TIMES, Arithmetic, Model, bounded, carry_out, magnitude
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Mask
 from servocore.numerics.step_operations import computed, holds_any, operations_of, rebuilt
 
 Rule: TypeAlias = Callable[..., Model]
 _Functions: TypeAlias = defaultdict[Rule, dict[tuple[int, ...], int]]
 """Of each rule the places of results by those of their arguments."""
-
-_ROUNDED = 1e-9  # of a condition
 
 
 class _Workspace(threading.local):
@@ -47,7 +45,8 @@ class Walk:
     """An expression's operations in programs, and between them what is interpolated.
 
     The depth of a place is the number of interpolations before it: at each depth there is a program, then the functions
-    of what is then known. Every result has a place of its own.
+    of what is then known. Every result has a place of its own. Sums of squares are known to be such: models of them may
+    have negative values, and still they have roots.
 
     Parameters
     ----------
@@ -60,6 +59,7 @@ class Walk:
     def __init__(self, expression: ca.SX, symbols: ca.SX) -> None:
         self._depth = [0] * symbols.numel()  # the arguments have the first places
         self._constants = defaultdict[float, int](self._place)
+        self._squares = set[int]()
         self._steps = defaultdict[int, list[tuple[int, ...]]](list)
         self._functions = defaultdict[int, _Functions](lambda: defaultdict(dict))
         if holds_any(expression, {*_LOWERED}):
@@ -71,6 +71,7 @@ class Walk:
                 outputs[out[1]] = place_of[used[0]]
             elif number == ca.OP_CONST:
                 place_of[out[0]] = self._constants[constant]
+                self._squares |= {self._constants[constant]} if constant >= 0.0 else set()
             elif number == ca.OP_INPUT:
                 place_of[out[0]] = used[1]
             else:
@@ -111,9 +112,14 @@ class Walk:
         depth = max(self._depth[a], self._depth[b])
         if number in _STEPS:
             self._steps[depth].append((_STEPS[number], place := self._place(depth), a, b))
+            if number == ca.OP_SQ or (number in _KEEPING and {a, b} <= self._squares):
+                self._squares.add(place)
             return place
-        results = self._functions[depth + 1][_RULES.get(number, _no_bound)]
-        return results.get((*arguments,)) or results.setdefault((*arguments,), self._place(depth + 1))
+        rule, known = _RULES.get(number, _no_bound), tuple(arguments if number in _RULES else arguments[:1])
+        if number == ca.OP_SQRT and a in self._squares:
+            rule = _root_of_squares
+        results = self._functions[depth + 1][rule]
+        return results.get(known) or results.setdefault(known, self._place(depth + 1))
 
 
 # In terms of other operations -----------------------------------------------------------------------------------------
@@ -129,23 +135,26 @@ def _power(a: ca.SX, b: ca.SX) -> ca.SX:
     return ca.exp(b * ca.log(a))  # whole powers up to a hundred are products of CasADi's
 
 
+def _cosine(sine: ca.SX) -> ca.SX:
+    return ca.sqrt(1.0 - sine) * ca.sqrt(1.0 + sine)
+
+
 def _tangent(a: ca.SX) -> ca.SX:
     return ca.sin(a) / ca.cos(a)
 
 
 _LOWERED: dict[int, Callable[..., ca.SX]] = {
     ca.OP_POW: _power, ca.OP_CONSTPOW: _power, ca.OP_TAN: _tangent,
-    ca.OP_ATAN: lambda a: ca.atan2(a, ca.SX(1.0)), ca.OP_ASIN: lambda a: ca.atan2(a, ca.sqrt(1.0 - a * a)),
-    ca.OP_ACOS: lambda a: ca.atan2(ca.sqrt(1.0 - a * a), a), ca.OP_SINH: lambda a: (ca.exp(a) - ca.exp(-a)) / 2.0,
+    ca.OP_ATAN: lambda a: ca.atan2(a, ca.SX(1.0)), ca.OP_ASIN: lambda a: ca.atan2(a, _cosine(a)),
+    ca.OP_ACOS: lambda a: ca.atan2(_cosine(a), a), ca.OP_SINH: lambda a: (ca.exp(a) - ca.exp(-a)) / 2.0,
     ca.OP_COSH: lambda a: (ca.exp(a) + ca.exp(-a)) / 2.0, ca.OP_HYPOT: lambda a, b: ca.sqrt(a * a + b * b),
-    ca.OP_ASINH: lambda a: ca.log(a + ca.sqrt(a * a + 1.0)), ca.OP_ACOSH: lambda a: ca.log(a + ca.sqrt(a * a - 1.0)),
-    ca.OP_ATANH: lambda a: ca.log((1.0 + a) / (1.0 - a)) / 2.0, ca.OP_LOG1P: lambda a: ca.log(1.0 + a),
-    ca.OP_EXPM1: lambda a: ca.exp(a) - ca.SX(1.0), ca.OP_FABS: lambda a: a * ca.sign(a),
+    ca.OP_ASINH: lambda a: ca.log(a + ca.sqrt(a * a + 1.0)), ca.OP_LOG1P: lambda a: ca.log(1.0 + a),
+    ca.OP_ACOSH: lambda a: ca.log(a + ca.sqrt(a - 1.0) * ca.sqrt(a + 1.0)), ca.OP_FABS: lambda a: a * ca.sign(a),
+    ca.OP_ATANH: lambda a: ca.log((1.0 + a) / (1.0 - a)) / 2.0, ca.OP_EXPM1: lambda a: ca.exp(a) - ca.SX(1.0),
     ca.OP_LT: lambda a, b: computed(ca.OP_LT, [ca.SX(0.0), b - a]),
-    ca.OP_LE: lambda a, b: computed(ca.OP_LE, [ca.SX(0.0), b - a]), ca.OP_NOT: lambda a: 1.0 - a,
-    ca.OP_FMAX: lambda a, b: (a + b + (a - b) * ca.sign(a - b)) / 2.0, ca.OP_AND: lambda a, b: a * b,
-    ca.OP_FMIN: lambda a, b: (a + b - (a - b) * ca.sign(a - b)) / 2.0, ca.OP_OR: lambda a, b: a + b - a * b,
-    ca.OP_CEIL: lambda a: -computed(ca.OP_FLOOR, [-a]),
+    ca.OP_LE: lambda a, b: computed(ca.OP_LE, [ca.SX(0.0), b - a]), ca.OP_CEIL: lambda a: -computed(ca.OP_FLOOR, [-a]),
+    ca.OP_FMAX: lambda a, b: (a + b + (a - b) * ca.sign(a - b)) / 2.0,
+    ca.OP_FMIN: lambda a, b: (a + b - (a - b) * ca.sign(a - b)) / 2.0,
     ca.OP_CALL: lambda *taken: computed(ca.OP_CALL, taken) + np.nan,  # of an external function: it has no bound
 }  # fmt: skip
 
@@ -157,24 +166,47 @@ _STEPS = {
     ca.OP_MUL: TIMES, ca.OP_SQ: TIMES, ca.OP_DIV: TIMES,
 }  # fmt: skip
 
+_KEEPING = {ca.OP_ADD, ca.OP_TWICE, ca.OP_MUL}
+"""Operations whose result is no less than zero where the arguments are."""
+
 # Rules ----------------------------------------------------------------------------------------------------------------
 
 
-def _if(_: Arithmetic, condition: Model, a: Model) -> Model:
-    """Return `a` where a condition holds, and else zero; both where it is not known to be a number but for rounding."""
-    whole = np.round(condition[0])
-    known = np.abs(condition[0] - whole) + magnitude(condition[1:]) < _ROUNDED
-    share = np.where(known, whole != 0.0, 0.5)
-    found = np.where(share, a, 0.0)
-    found[:-1] *= share
-    found[-1] += np.where(known, 0.0, magnitude(a[:-1]) / 2.0)
+def _truth(ring: Arithmetic, a: Model) -> tuple[Mask, Mask]:
+    """Return whether values are surely, and whether they may be, a condition that holds: any number but zero."""
+    low, high = ring.span(a)
+    return (low > 0.0) | (high < 0.0), (low != 0.0) | (high != 0.0)
+
+
+def _if(ring: Arithmetic, condition: Model, a: Model) -> Model:
+    """Return `a` where a condition holds, and else zero; both where it may hold or not."""
+    sure, possible = _truth(ring, condition)
+    found = np.where(possible, a, 0.0)
+    found[:-1] *= np.where(sure, 1.0, 0.5)
+    found[-1] += np.where(possible & ~sure, magnitude(a[:-1]) / 2.0, 0.0)
     return found
 
 
-def _no_bound(_: Arithmetic, a: Model, *__: Model) -> Model:
+def _logical(operation: Callable[..., Mask]) -> Rule:
+    """Return the rule of an operation on conditions: 1 or 0, and both where it is not known."""
+
+    def carried_out(ring: Arithmetic, *models: Model) -> Model:
+        one, other = (operation(*each) for each in zip(*(_truth(ring, a) for a in models), strict=True))
+        found = ring.constant(np.where(one, 0.5, 0.0) + np.where(other, 0.5, 0.0))
+        found[-1] = (one != other) / 2.0
+        return found
+
+    return carried_out
+
+
+def _no_bound(_: Arithmetic, a: Model) -> Model:
     found = np.zeros_like(a)
     found[-1] = np.inf
     return found
+
+
+def _root_of_squares(ring: Arithmetic, a: Model) -> Model:
+    return ring.root(a, 0.0)
 
 
 _RULES: dict[int, Rule] = {
@@ -185,4 +217,5 @@ _RULES: dict[int, Rule] = {
     ca.OP_FLOOR: lambda ring, a: ring.rising(np.floor, a),
     ca.OP_LT: lambda ring, _, a: ring.rising(lambda x: np.heaviside(x, 0.0), a),
     ca.OP_LE: lambda ring, _, a: ring.rising(lambda x: np.heaviside(x, 1.0), a), ca.OP_IF_ELSE_ZERO: _if,
+    ca.OP_NOT: _logical(np.logical_not), ca.OP_AND: _logical(np.logical_and), ca.OP_OR: _logical(np.logical_or),
 }  # fmt: skip
