@@ -178,7 +178,8 @@ class Reference(ABC):
         # Chebyshev interpolation: |f - p| <= h^(n+1) sup|f^(n+1)| / (2^n (n+1)!).
         share = (half ** (degree + 1) / (2.0**degree * factorial(degree + 1)))[:, None, None]
         late = 4.0 * _UNIT * np.maximum(np.abs(a), np.abs(b))[:, None, None]
-        # Values are rounded as shares of what is largest on the analytic piece around an interval.
+        # Values are rounded as shares of what is largest on the analytic piece around an interval, of any component:
+        # where one of a fitted path rests, its derivatives are nothing but rounding errors, and jump at knots.
         piece = np.clip(np.searchsorted(self.joints, middle) - 1, 0, len(self.joints) - 2)
         radii = share * bounds[:, degree + 1 :] + late * bounds[:, 1 : order + 2] + _VALUES * _peaks(self, order)[piece]
         return np.tensordot(values, inverse, (1, 1)), 1.001 * radii
@@ -212,11 +213,11 @@ def _taylor(degree: int, order: int) -> tuple[npt.NDArray[np.intp], FloatArray]:
 
 @made_once
 def _peaks(path: Reference, order: int) -> FloatArray:
-    """Bound the derivatives of a path on each of its analytic pieces, shape (pieces, order + 1, dimension)."""
+    """Bound the derivatives of a path on each of its analytic pieces, shape (pieces, order + 1, 1)."""
     fractions = np.linspace(0.0, 1.0, _PARTS + 1)
     grid = path.joints[:-1, None] + np.diff(path.joints)[:, None] * fractions
     bounds = path._bounds(grid[:, :-1].ravel(), grid[:, 1:].ravel(), order)
-    return np.asarray(bounds.reshape(len(grid), _PARTS, order + 1, path.dimension).max(axis=1))
+    return np.asarray(bounds.reshape(len(grid), _PARTS, order + 1, path.dimension).max(axis=(1, 3)))[..., None]
 
 
 def numbers_of(values: npt.ArrayLike, what: str, error: type[ServocoreError] = InvalidReference) -> FloatArray:
