@@ -63,7 +63,8 @@ class Certificate:
     @property
     def summary(self) -> str:
         """The verdict in one line: the proved statements, or the first that fails."""
-        bound = max((each.relative for each in self.error_bounds.values()), default=0.0)
+        largest = (max(each.at_instants, each.between) / each.peak for each in self.error_bounds.values())
+        bound = max(largest, default=0.0)
         failing = [each for each in self.statements if each.verdict == self.verdict]
         if self.verdict != "proved":
             return f"{failing[0]}" + (f"; and {len(failing) - 1} more" if len(failing) > 1 else "")
@@ -92,7 +93,7 @@ class Certificate:
         -------
         dict of str to ndarray, shape (N, 2)
             The least and the largest value at each time, over all parameters of the box; infinite where the motion is
-            not proved.
+            not proved. Angles that are known up to whole turns are those between -pi and pi.
         """
         times = np.atleast_1d(numbers_of(t, "the times of a tube"))
         if self._proof is None:

@@ -12,21 +12,17 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from servocore.certificate.chebyshev import UNIT, Model, arithmetic, model_of, norm
 from servocore.certificate.equations import Box, Equations, equations_of, given_models, radii
-from servocore.numerics.compiled_calls import Array, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, Mask, mapped, side_by_side
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.structure.derivative_array import DerivativeArray, nominal
 from servocore.structure.inversion import Inversion, inversion
-
-Mask = npt.NDArray[np.bool_]
-"""Marks of intervals."""
 
 _DEGREE = 10
 _FIRST, _BOXED = 5, 8  # intervals of a path to begin with: for each order of derivatives; for a box of parameters
@@ -235,11 +231,13 @@ class Proof:
     def _too_wide(self) -> Mask:
         """Return whether intervals are proved, not well enough, and halves may help.
 
-        They do not where the radius, of rounding errors, is hardly less than that of what an interval is a quarter of,
-        and a half where it is nearly small enough. There are never so many that none are left for what is not proved.
+        They do not where a radius below the tolerance, of rounding errors, or that of a box is hardly less than that of
+        what an interval is a quarter of, and a half where it is nearly small enough. There are never so many that none
+        are left for what is not proved.
         """
         before = np.where(self.relative < 2.0 * self._narrow, self.before[1], self.before[0])
-        wide = (self._narrow < self.relative) & (self.relative <= before / 2.0)
+        wide = (self.relative <= before / 2.0) | ((self.relative > self.tolerance) & (not self.boxed))
+        wide &= self._narrow < self.relative
         wide = np.where(self.jumping, self.within, wide) & self.proved & (self.depth < _DEEPEST)
         return np.asarray(wide & (len(wide) + wide.sum() <= _FINE))
 
@@ -319,8 +317,9 @@ class Proof:
         basis = chebyshev.chebvander(np.clip(position, -1.0, 1.0), self.ring.degrees[0])
         shaped = found[:-1].reshape(basis.shape[1], -1, *found.shape[1:])
         # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
-        late = 8.0 * UNIT * (1.0 + (np.abs(a) + np.abs(b)) / (b - a))
-        noise = np.tensordot(np.arange(basis.shape[1]) ** 2.0 + 12.0, np.abs(shaped), 1).sum(axis=0) * late
+        late = 1.0 + (np.abs(a) + np.abs(b)) / (b - a)
+        noise = np.tensordot(np.arange(basis.shape[1]) ** 2.0, np.abs(shaped), 1).sum(axis=0) * late
+        noise = 8.0 * UNIT * (noise + 12.0 * norm(found[:-1]))
         radius = np.where(np.abs(position) > 1.0 + 1e-9, np.inf, found[-1] + noise)
         return model_of(np.einsum("nd,dpkn->pkn", basis, shaped), radius)
 
@@ -336,8 +335,8 @@ class Proof:
         motion, inputs = self.equations.motion, self.equations.inputs
         both, one = self.proved[:-1] & self.proved[1:], fits.all(axis=1).any(axis=0)
         of_path = np.isin(self.end[:-1], self.problem.reference.joints)
-        # Also of what is unique wherever it is; what changes by less than D is a rounding error of the path.
-        leaps = of_path & (apart > 2.0 * noise + rho[:, :-1] + rho[:, 1:]) & ~near.any(axis=0)
+        # Also of what is unique wherever it is; less is a rounding error of the path.
+        leaps = of_path & (apart > noise + rho[:, :-1] + rho[:, 1:] + _STEADY * self.peaks)
         conditions = [~both, leaps[motion].any(axis=0), one & ~leaps[inputs].any(axis=0), ~of_path]
         conditions.append(fits[:, motion].all(axis=1).any(axis=0))
         kinds = ["not proved", "motion jumps", "one branch", "apart", "inputs jump"]

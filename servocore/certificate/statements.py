@@ -36,6 +36,7 @@ DEFINITE = "mass matrix definite on all motions that the constraints allow"
 
 _HALVINGS, _MOST = 44, 4000  # of a box, and boxes at once: a value that touches its bound is never decided
 _HALVED_RUNS = 4  # how often intervals are halved for integrals
+_ANY = 1e9  # an angle that is less has no jump
 _SPIKE = 2.0  # times the largest value at the instants: beyond it, these do not show the input
 _UNSHOWN = "the instants do not show it"
 _FLOOR = 1e-6  # of the largest input: one that is less may be round-off
@@ -198,6 +199,11 @@ def stated(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ())
     boxes = proof.enclosures[..., proof.within]
     models = walk(ring, boxes)
     decisions = {limit: decided(ring, boxes, walk, k, models[:, k], limit) for k, limit in enumerate(limits)}
+    turning = [
+        limit for k, limit in enumerate(limits)
+        if decisions[limit][0] != "proved" and limit.counts_turns(proof.problem.system)
+        and decided(ring, boxes, walk, k, models[:, k], replace(limit, bound=-_ANY, upper=_ANY))[0] != "proved"
+    ]  # fmt: skip
     found, text = dict[str, Statement](), "it depends on higher derivatives of the path than the inputs do"
     if not proof.problem.flat:
         text = "rates of inputs are not enclosed where there are internal dynamics"
@@ -205,6 +211,8 @@ def stated(proof: Proof, claims: Sequence[Claim], jumps: Collection[float] = ())
         statement = Statement(what, "undecided", text)
         if added := limit.over_run:
             statement = _of_run(proof, what, limit, added)
+        elif limit in turning:
+            statement = Statement(what, "undecided", "it comes to half a turn, and is known up to whole turns")
         elif limit in decisions:
             statement = _of_all_times(proof, what, limit, decisions[limit], jumps)
         found[what] = worst([found.get(what, statement), statement])
@@ -241,7 +249,7 @@ def _of_all_times(proof: Proof, what: str, limit: Limit, decision: Decision, jum
     text += f" {limit.with_unit(abs(value - bound))} {side} the bound of {limit.with_unit(bound)}"
     text += f", {limit.reason}" if limit.reason else ""
     if not np.isfinite(value):
-        text = f"the motion is not proved at {place}"
+        text = f"{'it has no bound' if proof.joined.all() else 'the motion is not proved'} at {place}"
     return Statement(what, verdict, text, time)
 
 
