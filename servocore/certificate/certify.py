@@ -15,12 +15,20 @@ from servocore.certificate.equations import Box
 from servocore.certificate.internal import near_states
 from servocore.certificate.proof import Proof
 from servocore.certificate.statements import LIMIT, ErrorBound, Statement, Verdict, compared, enclosed, stated, worst
-from servocore.errors import InvalidReference, InvalidSetting, LimitBroken, ServocoreWarning, require_kind
+from servocore.errors import (
+    InvalidReference,
+    InvalidSetting,
+    LimitBroken,
+    ServocoreWarning,
+    described,
+    require_kind,
+    require_positive,
+)
 from servocore.model.limits import Bounds, Limit, Named, limit_named, reported_quantities
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.presentation import Curve, figure_of
-from servocore.problem import Problem
+from servocore.problem import Problem, resolve
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
 
@@ -28,6 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SAMPLES = 401  # of a plot
+_SOMEWHERE = 0.618034  # of an interval of a parameter: a value at which nothing vanishes that does not on all of it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,12 +102,23 @@ class Certificate:
         -------
         dict of str to ndarray, shape (N, 2)
             The least and the largest value at each time, over all parameters of the box; infinite where the motion is
-            not proved. Angles that are known up to whole turns are those between -pi and pi.
+            not proved; empty where there is no proof at all. Angles that are known up to whole turns are those between
+            -pi and pi.
+
+        Raises
+        ------
+        InvalidReference
+            If the times are no row of finite numbers.
         """
         times = np.atleast_1d(numbers_of(t, "the times of a tube"))
+        if times.ndim > 1 or not np.isfinite(times).all():
+            what = f"an array of shape {times.shape}" if times.ndim > 1 else times[~np.isfinite(times)][0]
+            raise InvalidReference(f"the times of a tube must be one row of finite numbers in s, not {what}")
         if self._proof is None:
             return {}
         names = list(reported_quantities(self._proof.problem.system))
+        if not len(times):
+            return {name: np.zeros((0, 2)) for name in names}
         limits = [Limit(name, "", -np.inf, "", Named(name)) for name in names]
         return dict(zip(names, enclosed(self._proof, limits, times), strict=True))
 
@@ -118,14 +138,19 @@ class Certificate:
         Raises
         ------
         InvalidSetting
-            If matplotlib is missing, or nothing is proved.
+            If matplotlib is missing, nothing is proved, or there is no quantity of a name.
         """
         if self._proof is None:
             raise InvalidSetting("nothing is proved that could be plotted")
         problem = self._proof.problem
         t = np.linspace(problem.reference.start_time, problem.reference.end_time, _SAMPLES)
         tube, known = self.tube(t), reported_quantities(problem.system)
-        chosen = list(names) if names is not None else [each.name for each in problem.system.inputs]
+        chosen = [each.name for each in problem.system.inputs] if names is None else names
+        if isinstance(chosen, str) or not isinstance(chosen, Sequence) or not len(chosen):
+            raise InvalidSetting(f"a plot needs a list of one name or more, not {described(chosen)}")
+        for name in chosen:
+            if name not in [*known]:
+                raise InvalidSetting(f"{self.name} reports nothing called {name}; there are {', '.join(known)}")
         curves = [
             Curve(name, known[name].unit, known[name].description, np.where(np.isfinite(bound), bound, np.nan))
             for name in chosen for bound in tube[name].T
@@ -167,7 +192,10 @@ def certify(
     Raises
     ------
     InvalidSetting
-        If a limit or a parameter is unknown, an interval is none, or the solution does not know what was solved.
+        If a limit or a parameter is unknown, an interval is none, the tolerance is not positive, a model is named
+        beside a solution, or the solution has no finite instants or does not know what was solved.
+    InvalidModel
+        If the ends of an interval are out of the range of the parameter, or the scene has no such model.
 
     Examples
     --------
@@ -176,24 +204,31 @@ def certify(
     >>> certificate.verdict
     'proved'
     """
+    require_kind(limits or {}, Mapping, "limits", "bounds by name", InvalidSetting)
+    require_positive(tolerance, "the tolerance of a certificate", "a share of the peaks of inputs")
     solution = scene_or_solution if isinstance(scene_or_solution, Solution) else None
     if isinstance(scene_or_solution, Solution):
         problem = scene_or_solution.origin
         require_kind(problem, Problem, "what a solution to be certified solves", "known to it", InvalidSetting)
+        if model is not None or not len(scene_or_solution.t) or not np.isfinite(scene_or_solution.t).all():
+            why = f"has its own model, and needs no {model!r}" if model is not None else "must have finite instants"
+            raise InvalidSetting(f"a solution to be certified {why}")
     else:
         problem = Problem.of(scene_or_solution, model)
     path, bounds, jumps = problem.reference, dict[str, ErrorBound](), tuple[float, ...]()
     proof: Proof | None = None
-    extra = (limit_named(problem.system, name, each) for name, each in (limits or {}).items())
+    extra = (limit_named(problem.system, str(name), each) for name, each in (limits or {}).items())
     wanted = [(f"{LIMIT}{k.quantity}", k) for k in (*problem.limits, *extra) if not k.at_instants_only]
     boxed, rates = _box(problem, parameters or {}), any(limit.rate for _, limit in wanted)
+    problem = _inside(problem, boxed)
     if not problem.flat:
         proof, statements = near_states(problem, solution, tolerance, bool(boxed))
-    elif path.max_order < problem.array.reference_order + rates:
+    elif path.max_order < problem.array.reference_order:
         text = f"the path has derivatives up to order {path.max_order} only: it is too rough for the inputs"
         statements = [Statement("one motion", "refuted", text)]
     else:
-        proof, statements = Proof(problem, boxed, tolerance, rates), []
+        raised = rates and path.max_order > problem.array.reference_order
+        proof, statements = Proof(problem, boxed, tolerance, raised), []
     if proof is None:
         statements += [Statement(what, "undecided", "the motion is not proved") for what, _ in wanted]
     else:
@@ -240,12 +275,25 @@ def require_certified(
 
 def _box(problem: Problem, parameters: Mapping[str, tuple[float, float]]) -> Box:
     """Return the intervals of parameters by number."""
-    names, boxed = problem.system.parameters.names, {}
+    require_kind(parameters, Mapping, "parameters", "intervals by name", InvalidSetting)
+    known, boxed = problem.system.parameters, {}
     for name, interval in parameters.items():
-        if name not in names:
-            raise InvalidSetting(f"{problem.name} has no parameter {name}; there are {', '.join(names)}")
-        low, high = (float(each) for each in interval)
+        if name not in known.names:
+            raise InvalidSetting(f"{problem.name} has no parameter {name}; there are {', '.join(known.names)}")
+        whole = isinstance(interval, tuple | list | np.ndarray) and len(interval) == 2
+        number = known.names.index(name)
+        low, high = map(known.declared[number].check, interval) if whole else (0.0, 0.0)
         if not low < high:
             raise InvalidSetting(f"the interval of {name} must run from a lower to a higher value, not {interval}")
-        boxed[names.index(name)] = (low, high)
+        boxed[number] = (low, high)
     return boxed
+
+
+def _inside(problem: Problem, boxed: Box) -> Problem:
+    """Return a problem with the structure that it has within a box: terms that vanish at its own values are kept."""
+    p = problem.p.copy()
+    for k, (low, high) in boxed.items():
+        p[k] = low + _SOMEWHERE * (high - low)
+    if not boxed or problem.resolved.suits(p):
+        return problem
+    return replace(problem, resolved=resolve(problem.system, tuple(p.tolist())))

@@ -25,6 +25,7 @@ import numpy as np
 
 from servocore.certificate.chebyshev import UNIT, UP, Arithmetic, Model, arithmetic, magnitude, model_of, norm
 from servocore.certificate.walk import CONSTANT, Walk, lowered
+from servocore.errors import InvalidReference
 from servocore.numerics.compiled_calls import Array, Mask
 from servocore.numerics.components import Part, places_of, triangular_blocks
 from servocore.numerics.memoization import made_once
@@ -204,9 +205,15 @@ def given_models(problem: Problem, array: DerivativeArray, ring: Arithmetic, end
     """
     (begin, end), first, count = ends, ring.degrees[0] + 1, ends.shape[1]
     coefficients, radii = problem.reference.enclosure(begin, end, array.reference_order, first - 1)
+    wanted = (count, array.reference_order + 1, problem.reference.dimension)
+    if (np.shape(coefficients), np.shape(radii)) != ((*wanted, first), wanted):
+        raise InvalidReference(
+            f"{type(problem.reference).__name__}: an enclosure must be coefficients of shape {(*wanted, first)} and"
+            f" radii of shape {wanted}, not {np.shape(coefficients)} and {np.shape(radii)}"
+        )
     path = np.zeros((len(ring.nodes) + 1, radii[0].size, count))
     path[:-1].reshape(first, -1, radii[0].size, count)[:, 0] = coefficients.reshape(count, -1, first).T
-    path[-1] = radii.reshape(count, -1).T
+    path[-1] = np.where(radii >= 0.0, radii, np.inf).reshape(count, -1).T
     rest = ring.constant(np.tile([[each] for each in (*problem.p, 0.0)], count))
     corners = [(-1, ends), *((k, np.array(interval)[:, None]) for k, interval in boxed.items())]
     for axis, (k, (low, high)) in enumerate(corners):

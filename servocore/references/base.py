@@ -103,7 +103,10 @@ class Reference(ABC):
 
     @property
     def degree(self) -> int | None:
-        """Degree of the polynomials between `joints`; None if the path is not made of polynomials."""
+        """Degree of the polynomials between `joints`; None if the path is not made of polynomials.
+
+        Bounds need all their derivatives: there are none if `max_order` is less.
+        """
         return None
 
     @property
@@ -186,7 +189,7 @@ class Reference(ABC):
 
     def _bounds(self, a: FloatArray, b: FloatArray, order: int) -> FloatArray:
         """Bound derivatives of polynomials on intervals by Taylor's formula, shape (N, order + 1, dimension)."""
-        if (degree := self.degree) is None:
+        if (degree := self.degree) is None or degree > self.max_order:
             return np.full((len(a), order + 1, self.dimension), np.inf)
         jets, (up, shares) = np.abs(self.jet((a + b) / 2.0, degree)), _taylor(degree, order)
         powers = ((b - a) / 2.0)[:, None] ** np.arange(degree + 1)

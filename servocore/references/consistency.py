@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from servocore.errors import InvalidReference
-from servocore.references.base import Reference
+from servocore.references.base import FloatArray, Reference
 
 _WINDOWS, _PART = 9, 1 / 64  # so many, each such a part of the duration
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -34,6 +34,7 @@ def require_consistent(path: Reference) -> None:
     if first.shape != wanted:
         raise InvalidReference(f"{type(path).__name__}: derivatives at {_WINDOWS} times must have the shape {wanted},"
                                f" not {first.shape}")  # fmt: skip
+    _require_polynomials(path, begin)
     slopes = inside.reshape(_WINDOWS, len(_NODES), order + 1, path.dimension)
     integrals = np.einsum("j,wjkd->wkd", _WEIGHTS * length / 2.0, slopes)
     sizes = np.einsum("j,wjkd->wkd", _WEIGHTS * length / 2.0, np.abs(slopes))
@@ -51,3 +52,15 @@ def require_consistent(path: Reference) -> None:
                 f" t = {begin[w]:.6g} s to {begin[w] + length:.6g} s {what} changes by {change[w, d]:.4g}, and its"
                 f" integral is {integrals[w, k + 1, d]:.4g}"
             )
+
+
+def _require_polynomials(path: Reference, t: FloatArray) -> None:
+    """Raise `InvalidReference` unless `joints` are times of the path, and `degree`, if given, that of polynomials."""
+    joints, name, ends = path.joints, type(path).__name__, (path.start_time, path.end_time)
+    rising = isinstance(joints, np.ndarray) and joints.ndim == 1 and len(joints) > 1 and (np.diff(joints) > 0.0).all()
+    if not rising or (joints[0], joints[-1]) != ends:
+        raise InvalidReference(f"{name}: joints must be an array of times that rise from {ends[0]} to {ends[1]} s")
+    if path.degree is not None and path.degree < path.max_order:
+        jet = path.jet(t, path.degree + 1)
+        if (np.abs(jet[:, -1]) > _ROUND_OFF * np.abs(jet[:, -2]).max() / path.duration).any():
+            raise InvalidReference(f"{name}: the path has a degree of more than {path.degree} between its joints")
