@@ -60,7 +60,9 @@ def _require_polynomials(path: Reference, t: FloatArray) -> None:
     rising = isinstance(joints, np.ndarray) and joints.ndim == 1 and len(joints) > 1 and (np.diff(joints) > 0.0).all()
     if not rising or (joints[0], joints[-1]) != ends:
         raise InvalidReference(f"{name}: joints must be an array of times that rise from {ends[0]} to {ends[1]} s")
-    if path.degree is not None and path.degree < path.max_order:
-        jet = path.jet(t, path.degree + 1)
-        if (np.abs(jet[:, -1]) > _ROUND_OFF * np.abs(jet[:, -2]).max() / path.duration).any():
-            raise InvalidReference(f"{name}: the path has a degree of more than {path.degree} between its joints")
+    degree = path.degree
+    if degree is None or degree >= path.max_order:
+        return
+    jet = path.jet(t, max(degree, 0) + 1)
+    if degree < 0 or (np.abs(jet[:, -1]) > _ROUND_OFF * np.abs(jet[:, -2]).max() / path.duration).any():
+        raise InvalidReference(f"{name}: the path has a degree of more than {degree} between its joints")
