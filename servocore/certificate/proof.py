@@ -120,6 +120,7 @@ class Proof:
         of_parameters = {1: 4, 2: 3}.get(len(boxed), 2)
         self.boxed, self.ring = boxed, arithmetic((_DEGREE, *(of_parameters for _ in boxed)))
         self._narrow = tolerance if boxed else _NARROW * tolerance
+        self._most = _MOST // 3 ** len(boxed)  # operations take the longer the more coefficients there are
         self.problem, self.equations, self.tolerance, self.joints = problem, equations, tolerance, list[str]()
         n, unknowns = len(grid) - 1, len(equations.block)
         self.begin, self.end, self.depth, self.failed = grid[:-1], grid[1:], np.zeros(n, dtype=int), np.full(n, -1)
@@ -170,7 +171,7 @@ class Proof:
 
     def _refine(self) -> None:
         """Answer by the guess of the model and test what is open, and halve what is not proved well enough."""
-        while not self.tested.all() and len(self.begin) <= _MOST:
+        while not self.tested.all() and len(self.begin) <= self._most:
             while (fresh := ~self.tested & ~self.solved).any():
                 self._answer(fresh)
                 self._halve(fresh & self._coarse())
@@ -183,7 +184,7 @@ class Proof:
         From the first proved interval to the end, or to the beginning. Those that are not proved then are halved.
         """
         k, tried, wide = int(self.proved.argmax()), False, self._too_wide()
-        while 0 <= (n := k + step) < len(self.begin) <= _MOST:
+        while 0 <= (n := k + step) < len(self.begin) <= self._most:
             joint, lost = self.joints[min(k, n)], np.isinf(self.relative[k])
             joined, ended = joint in _ON, joint == "motion jumps" or self.depth[n] >= _DEEPEST
             if (lost and self.tested[n]) or (joined and not wide[n]) or (tried and ended):
@@ -315,7 +316,7 @@ class Proof:
         position = (2.0 * t - a - b) / (b - a)
         found = models[..., numbers]
         basis = chebyshev.chebvander(np.clip(position, -1.0, 1.0), self.ring.degrees[0])
-        shaped = found[:-1].reshape(basis.shape[1], -1, *found.shape[1:])
+        shaped = found[:-1].reshape(basis.shape[1], (len(found) - 1) // basis.shape[1], *found.shape[1:])
         # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
         late = 1.0 + (np.abs(a) + np.abs(b)) / (b - a)
         noise = np.tensordot(np.arange(basis.shape[1]) ** 2.0, np.abs(shaped), 1).sum(axis=0) * late

@@ -295,6 +295,8 @@ def compared(
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
     calm = ~proof.jumping[np.searchsorted(proof.end[:-1], t, side="right")]
     t = t[calm]
+    if not len(t):
+        return {}, [Statement("inputs at instants", "undecided", "inputs may jump at every instant")], []
     unknowns = proof.at(proof.enclosures[:, places], t)
     middle, radius = unknowns[0], magnitude(unknowns[1:])
     reported = middle if solution is None else np.stack([solution[each.name][calm] for each in inputs])
