@@ -87,12 +87,13 @@ class InternalProof(Proof):
         self.bounded, self.sentence, self._from = False, "", ""
         t, path = solution.t, problem.reference
         early, late = t[t < path.start_time], t[t > path.end_time]
+        inside = grid_of(path, max(len(t) // _INSTANTS, _FEWEST))
+        margin = min(OUTSIDE * path.duration, np.diff(inside).min())
         # Inputs may jump at the ends of the path: a motion from an equilibrium is at rest before it.
-        before = np.array([path.start_time - OUTSIDE * path.duration])
+        before = np.array([path.start_time - margin])
         if not len(early) and not problem.start and _rests(problem, before):
             early = before
-        late = late if len(late) else np.array([path.end_time + OUTSIDE * path.duration])
-        inside = grid_of(path, max(len(t) // _INSTANTS, _FEWEST))
+        late = late if len(late) else np.array([path.end_time + margin])
         self._begin(problem, {}, equations_of(problem.resolved, False, True), tolerance, np.r_[early, inside, late])
         s, ends = self._near(solution), np.stack([self.begin, self.end])
         self.given[:, s.shape[1] :] = given_models(problem, problem.array, self.ring, ends, {})
