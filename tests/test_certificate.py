@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import test_meeting_branches as meeting
 from forty_digits import Digits, exactly
+from numpy.polynomial import Polynomial
 from outside.test_kinks import STRIKES, linear, two_cars
 from outside.test_steps import HARMLESS, REFUSED, car
 from present import present
@@ -24,6 +25,7 @@ from servocore.certificate import proof
 from servocore.certificate.certify import Certificate
 from servocore.certificate.proof import Proof
 from servocore.problem import Problem
+from servocore.references.base import Reference
 from servocore.references.profiles import DEGREE3, DEGREE5, DEGREE7, DEGREE9
 from servocore.references.rest_to_rest import RestToRest
 
@@ -95,7 +97,13 @@ def line(
 SPIKED = line(QUADROTOR, tuple(QUADROTOR.reference.jet(0.0, 0)[0]), (5.91, 2.15), 1.71, profile=sc.DEGREE13)
 
 
+def unsteady() -> sc.Scene:
+    system = car().model()
+    return replace(car(), models={"only": lambda: replace(system, force=ca.if_else(ca.fmod(system.q, 0.3), 1.0, 2.0))})
+
+
 BAD: dict[str, tuple[Callable[[], sc.Scene], str]] = {
+    "a force without a bound of its jumps": (unsteady, "at every instant"),
     "above the girder": (lambda: line(OVERHEAD, (0, -1), (1, 1), 5.0), "girder|singular"),
     "a rough path": (lambda: line(sc.scenes.cars(), (0,), (1,), 3.0, profile=DEGREE5), "velocities jump at t = 0 s"),
     "a broken rate": (lambda: OVERHEAD.with_limits(**{"F.rate": 1000.0}), "F.rate"),
@@ -193,6 +201,57 @@ def test_inputs_that_jump_are_listed_and_the_motion_is_proved() -> None:
     for scene, start, end in ((OVERHEAD, (0.0, -4.0), (5.0, -1.0)), (sc.scenes.cars(), (0.0,), (1.0,))):
         certificate = sc.certify(line(scene, start, end, 3.0, profile=DEGREE7))
         assert (certificate.verdict, certificate.jumps) == ("proved", (0.0, 3.0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bumped(Reference):
+    """A path of polynomials of degree 12 whose velocity jumps in the middle, by what it does not say."""
+
+    base: sc.Reference
+    jump: float
+
+    @property
+    def joints(self) -> np.ndarray:
+        return np.linspace(self.start_time, self.end_time, 3)
+
+    @property
+    def degree(self) -> int:
+        return 12
+
+    def _derivatives(self, t: np.ndarray, order: int) -> np.ndarray:
+        found, half = self.base.jet(t, order).copy(), self.duration / 2.0
+        late = (t >= half) & (t < self.end_time)
+        bump = Polynomial([0.0, self.jump]) * Polynomial([1.0, -1.0 / half]) ** 10
+        for k in range(order + 1):
+            found[late, k, 0] += bump.deriv(k)(t[late] - half)
+        return found
+
+
+@pytest.mark.parametrize(("jump", "verdict"), [(1e-6, "refuted"), (1e-9, "proved")])
+def test_a_velocity_of_a_path_jumps_if_it_does_so_by_more_than_rounding(jump: float, verdict: str) -> None:
+    """Of a peak of 4 m/s, in a path that is said to be smooth."""
+    base = sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 3.0)
+    path = Bumped(start_time=0.0, end_time=3.0, dimension=2, max_order=99, smoothness=4, base=base, jump=jump)
+    found = sc.certify(OVERHEAD.with_reference(path))
+    assert found.verdict == verdict, found
+    assert ("velocities jump at t = 1.5 s" in str(found)) is (verdict == "refuted")
+
+
+TURNS = np.linspace(0.0, 4.0 * np.pi, 40)
+CIRCLE = np.column_stack([3.0 * np.cos(TURNS), 3.0 * np.sin(TURNS), np.full(40, -4.0)])
+CIRCLES = CRANE.with_reference(sc.sampled(np.linspace(0.0, 60.0, 40), CIRCLE))
+
+
+def test_a_fitted_path_does_not_jump_where_a_component_rests() -> None:
+    assert sc.certify(CIRCLES).jumps == ()
+
+
+@pytest.mark.parametrize(("model", "verdict"), [("points", "undecided"), ("generalized", "proved")])
+def test_an_angle_by_its_direction_is_known_up_to_whole_turns(model: str, verdict: str) -> None:
+    """Of two turns, within limits."""
+    found = sc.certify(CIRCLES, {"phi": ("-190 deg", "800 deg")}, model=model)
+    assert [each.verdict for each in found.statements if each.what == "limit of phi"] == [verdict]
+    assert ("known up to whole turns" in str(found)) is (verdict == "undecided")
 
 
 def test_nothing_is_asked_of_a_motion_beyond_the_ends_of_its_path() -> None:
@@ -351,6 +410,17 @@ def test_a_limit_that_internal_dynamics_break_is_refuted_with_the_time() -> None
     peak, at = np.abs(solution["u"]).max(), solution.t[np.abs(solution["u"]).argmax()]
     broken = sc.certify(solution, {"u": 0.9 * peak}).summary
     assert float(re.findall(r"t = (\S+) s", broken)[0]) == pytest.approx(at, abs=0.05)
+
+
+def test_a_box_is_not_proved_by_equations_that_hold_at_the_values_of_the_scene_alone() -> None:
+    """A damper between two cars, of which the second follows a path: without it there are no internal dynamics."""
+    system = two_cars(linear, lambda _: ca.SX(0), False).model()
+    damper = sc.Parameters(sc.Parameter("d", 0.0, "N.s/m", 0.0, 10.0, "damper"))
+    force = damper["d"] * (system.v[1] - system.v[0])
+    damped = replace(system, parameters=damper, force=system.force + ca.vertcat(force, -force))
+    scene = sc.Scene("damped", {"only": lambda: damped}, sc.rest_to_rest((0.0,), (1.0,), 2.0))
+    assert sc.certify(scene).verdict == "proved"
+    assert sc.certify(scene, parameters={"d": (0.0, 1.0)}).verdict == "undecided"
 
 
 def test_what_cannot_be_certified_is_told() -> None:

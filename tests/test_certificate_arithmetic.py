@@ -69,6 +69,9 @@ OPERATIONS: dict[str, tuple[bool, Callable[..., ca.SX], Exact]] = {
     "larger": (False, lambda a: ca.fmax(a, ca.SX(0.1)), lambda a: max(a, arb(0.1))),
     "choice": (False, lambda a: ca.if_else(a < 0.2, a, 5), lambda a: a if a < 0.2 else arb(5)),
     "either": (False, lambda a: ca.logic_or(a > 0.5, a < 0), lambda a: arb(int(a > 0.5 or a < 0))),
+    "condition": (False, lambda a: ca.if_else(ca.logic_and(a, 2), a, ca.SX(5)), lambda a: a if a != 0 else arb(5)),
+    "logic": (False, lambda a: ca.logic_not(ca.logic_not(a < 0.2)), lambda a: arb(int(a < 0.2))),
+    "length": (False, lambda a, b: ca.sqrt(a**2 + 2 * b**2), lambda a, b: (a * a + 2 * b * b).sqrt()),
     "steps": (False, lambda a: ca.sign(a - 2) + ca.floor(3 * a), lambda a: (a - 2).sgn() + (3 * a).floor()),
 }
 MANY = 100_000 // (len(OPERATIONS) * len(DEGREES)) + 1
@@ -81,7 +84,7 @@ def test_no_result_lies_outside_its_model(name: str, degrees: tuple[int, ...], c
     """Functions within their models, at random points: the exact result is within the radius of the polynomial."""
     rng, ring = np.random.default_rng(count), arithmetic(degrees)
     positive, written, exact = OPERATIONS[name]
-    symbols = ca.SX.sym("a", 2 if name in {"sum", "difference", "product", "angle"} else 1)
+    symbols = ca.SX.sym("a", 2 if name in {"sum", "difference", "product", "angle", "length"} else 1)
     models = [random_model(rng, ring, count, positive) for _ in range(symbols.numel())]
     arguments = np.stack([each[:, :, 0] for each in models], axis=1)  # as many boxes
     result = Walk(written(*ca.vertsplit(symbols)), symbols)(ring, arguments)[:, 0]
@@ -95,6 +98,21 @@ def test_no_result_lies_outside_its_model(name: str, degrees: tuple[int, ...], c
         ]
         off = abs(exact(*values) - exact_value(ring, result[:-1, k], point))
         assert not off > arb(float(result[-1, k])), (name, k, off, result[-1, k])
+
+
+UNDEFINED: dict[str, Callable[[ca.SX], ca.SX]] = {
+    "root": ca.sqrt, "logarithm": ca.log, "power": lambda a: a**0.5, "asin": lambda a: ca.asin(a + 1),
+    "acos": lambda a: ca.acos(a + 1), "acosh": lambda a: ca.acosh(a + 1), "atanh": lambda a: ca.atanh(a + 1),
+    "within a bounded function": lambda a: ca.tanh(ca.sqrt(a)), "behind a sign": lambda a: ca.sign(ca.log(a)),
+    "operations without a rule": lambda a: ca.erf(a) + ca.fmod(a, 2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("degrees", DEGREES[:2], ids=str)
+@pytest.mark.parametrize("case", UNDEFINED)
+def test_what_has_no_value_somewhere_has_no_bound(case: str, degrees: tuple[int, ...]) -> None:
+    ring, a = arithmetic(degrees), ca.SX.sym("a")
+    assert np.isinf(Walk(UNDEFINED[case](a), a)(ring, model_of(ring.tried(ring.nodes[:, :1, None])[:-1]))[-1])
 
 
 @pytest.mark.parametrize("degrees", DEGREES, ids=str)
