@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from servocore.certificate.chebyshev import Places, arithmetic, model_of
+from servocore.certificate.chebyshev import arithmetic, model_of
 from servocore.certificate.equations import block_signs, equations_of, given_models, radii
 from servocore.certificate.proof import REACH, PartialProof, Proof, smallest_peaks
 from servocore.certificate.statements import DEFINITE, Claim, Statement, claims_of, known, stated, walk_of_limits
-from servocore.numerics.compiled_calls import Array, Mask
+from servocore.numerics.compiled_calls import Array, Mask, Places
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import unknowns_near
 from servocore.structure.derivative_array import DerivativeArray

@@ -21,13 +21,12 @@ from functools import cached_property, reduce
 from itertools import product
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Places
 from servocore.numerics.just_in_time import JustInTime
 from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import loader
@@ -55,7 +54,6 @@ _NARROW = 1e-8  # radius
 _EXPONENT = 1.0 + 1e-11  # an exponent below 710 is off by less than that, added up from a hundred terms
 _PRODUCT = np.array([[TIMES, 2, 0, 1]], dtype=np.intp)
 
-Places: TypeAlias = npt.NDArray[np.intp]
 Model = Array
 """Coefficients and below them radii, (terms + 1, count, boxes): `count` functions on each of a number of boxes."""
 

@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from servocore.certificate.certify import certify
 from servocore.checks.before_run import require_feasible
 from servocore.checks.motion_limits import limited_values
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, Mask
 from servocore.numerics.units import behind
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import prepared_motion
@@ -244,7 +243,7 @@ def sides(limit: Limit, values: Array) -> list[tuple[float, Array]]:
     ]
 
 
-def _spells(limit: Limit, bound: float, t: Array, touched: npt.NDArray[np.bool_]) -> list[Active]:
+def _spells(limit: Limit, bound: float, t: Array, touched: Mask) -> list[Active]:
     """Return from when to when a constraint is active; short gaps are closed."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], touched.astype(int), [0]])))
     short = np.flatnonzero(edges[2::2] - edges[1:-1:2] < _MOMENT * len(t))

@@ -37,3 +37,23 @@ def test_a_table_of_another_shape_is_refused() -> None:
     path = Flat.of(RATE, RIGHT)
     with pytest.raises(sc.InvalidReference, match=r"Flat: .* the shape \(9, 7, 1\), not \(9, 7\)"):
         cars(path)
+
+
+BOUNDS: dict[str, tuple[object, str]] = {
+    "degree": (3, "a degree of more than 3 between its joints"),
+    "joints": ([0.0, 1.0], "joints must be an array of times that rise from 0.0 to"),
+}
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_what_bounds_a_path_is_refused_where_it_is_not_so(name: str) -> None:
+    value, words = BOUNDS[name]
+    path = type("Bounded", (Sine,), {name: value}).of(RATE, RIGHT)  # type: ignore[attr-defined]  # of Sine
+    with pytest.raises(sc.InvalidReference, match=f"Bounded: .*{words}"):
+        cars(path)
+
+
+def test_an_enclosure_of_another_shape_is_refused() -> None:
+    path = type("Short", (Sine,), {"enclosure": lambda *_: np.zeros((2, 1))}).of(RATE, RIGHT)  # type: ignore[attr-defined]
+    with pytest.raises(sc.InvalidReference, match="Short: an enclosure must be coefficients of shape"):
+        sc.certify(cars(path))
