@@ -20,7 +20,6 @@ COARSEST = 0.02
 
 _STABLE = 1.0  # step times the fastest eigenvalue: the classical method is stable to 2.8
 _SMALLEST = 1e-5  # s: a plant that is stiffer is not run
-_TOGETHER = 100  # steps of a linear plant in one system of equations: more take longer, and much memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,8 +198,9 @@ def linear_answers(plant: Inverted, gains: Array, change: Array, hanging: tuple[
     ndarray, shape (2,)
         Largest distances, linear about the start and about the end; infinite where there is no linear plant.
     """
+    import scipy.signal  # noqa: PLC0415 - kept out of the run time of an FMU
+
     loop, n, errors = compile_loop(plant.problem.resolved, plant.measured, hanging), len(plant.end), []
-    h = float(plant.t[-1] - plant.t[0]) / (len(plant.t) - 1)
     for q, u in ((plant.start[:n], plant.inputs[0]), (plant.end, plant.inputs[-1])):
         state = np.concatenate([q, np.zeros(n)])
         place, rate = loop.read(state)
@@ -208,31 +208,9 @@ def linear_answers(plant: Inverted, gains: Array, change: Array, hanging: tuple[
         A, B, C = loop.linear(state, signal, plant.problem.p, gains.ravel(), place)
         if not all(np.isfinite(matrix).all() for matrix in (A, B, C)):
             return np.full(2, np.inf)
-        errors.append(np.linalg.norm(_linear_states(A, B, change, h) @ C.T, axis=1).max())
+        _, response, _ = scipy.signal.lsim((A, B, C, np.zeros((len(C), len(u)))), change, plant.t - plant.t[0])
+        errors.append(np.linalg.norm(response.reshape(len(change), -1), axis=1).max())
     return np.array(errors)
-
-
-def _linear_states(A: Array, B: Array, inputs: Array, h: float) -> Array:
-    """Return the states (N, n) of x' = A x + B u from rest, exact for inputs (N, m) linear between instants `h` apart.
-
-    Steps x_k = F x_(k-1) + w_k are a triangular band of equations: LAPACK solves it in the order of the steps.
-    """
-    import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
-
-    n, m = B.shape
-    held = np.zeros((n + 2 * m, n + 2 * m))
-    held[:n, :n], held[n : n + m, :n], held[n + m :, n : n + m] = h * A.T, h * B.T, np.eye(m)
-    F, constant, rising = np.split(scipy.linalg.expm(held)[:, :n], [n, n + m])
-    w, states = inputs[:-1] @ (constant - rising) + inputs[1:] @ rising, np.zeros((len(inputs), n))
-    (row, column), band = np.indices(F.shape), np.zeros((n, 2 * n))
-    band[row, n + column - row] = -F
-    bands = np.tile(band, (_TOGETHER, 1)).T
-    for k in range(0, len(w), _TOGETHER):
-        part = w[k : k + _TOGETHER]
-        part[0] += states[k] @ F
-        solved, _ = scipy.linalg.lapack.dtbtrs(bands[:, : part.size], part.reshape(-1, 1), uplo="L", diag="U")
-        states[k + 1 : k + 1 + len(part)] = solved.reshape(part.shape)
-    return states
 
 
 def _seen(loop: Loop, states: Array, p: Array) -> Array:
