@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -428,10 +428,38 @@ def test_what_cannot_be_certified_is_told() -> None:
     assert "undecided: one motion (the states of the internal dynamics" in str(sc.certify(scene))
     assert "rates of inputs are not enclosed" in str(sc.certify(sc.solve(scene), {"u.rate": 1e6}))
     assert "for a box of parameters is not known" in str(sc.certify(sc.solve(scene), parameters={"mass": (1.9, 2.1)}))
-    with pytest.raises(sc.InvalidSetting, match="no parameter mass; there are"):
-        sc.certify(OVERHEAD, parameters={"mass": (1.0, 2.0)})
-    with pytest.raises(sc.InvalidSetting, match="must run from a lower to a higher"):
-        sc.certify(OVERHEAD, parameters={"load_mass": (2.0, 1.0)})
+
+
+@pytest.mark.parametrize(("given", "said"), [
+    ({"parameters": {"mass": (1.0, 2.0)}}, "no parameter mass; there are"),
+    *(({"parameters": {"load_mass": each}}, "must run from a lower") for each in ((2.0, 1.0), 5.0, (1.0,))),
+    *(({"parameters": {"load_mass": each}}, "outside its range") for each in ((-1.0, 1.0), (1.0, np.inf))),
+    ({"parameters": ["load_mass"]}, "intervals by name"), ({"limits": "F"}, "bounds by name"),
+    ({"limits": {1: 5.0}}, "nothing called 1"), ({"tolerance": 0.0}, "positive"), ({"tolerance": np.nan}, "positive"),
+])  # fmt: skip
+def test_what_is_no_question_to_a_certificate_is_refused(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(sc.ServocoreError, match=said):
+        sc.certify(OVERHEAD, **given)
+
+
+def test_what_is_no_question_to_a_solution_a_tube_or_a_plot_is_refused() -> None:
+    solution, certificate = sc.solve(OVERHEAD, step=0.5), sc.certify(OVERHEAD)
+    for question, said in (
+        (lambda: sc.certify(solution, model="points"), "has its own model"),
+        (lambda: sc.certify(replace(solution, t=solution.t[:0])), "finite instants"),
+        (lambda: certificate.tube(np.nan), "one row of finite numbers"),
+        (lambda: certificate.plot([]), "a list of one name or more"),
+        (lambda: certificate.plot(["Q"]), "reports nothing called Q"),
+    ):
+        with pytest.raises(sc.ServocoreError, match=said):
+            question()
+
+
+def test_a_limit_of_a_rate_is_undecided_where_the_path_has_derivatives_for_the_inputs_only() -> None:
+    path = replace(sc.periodic((2.5, -3.0), [[0.2, 0.1]], [[0.1, 0.1]], 5.0), max_order=4)
+    found = sc.certify(OVERHEAD.with_reference(path), {"F.rate": 1e6, "s.rate": 100.0})
+    failing = {each.what: each.verdict for each in found.statements if each.verdict != "proved"}
+    assert failing == {"limit of F.rate": "undecided"}
 
 
 def test_a_mass_that_is_negative_beside_constraints_is_not_refuted() -> None:
