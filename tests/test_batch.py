@@ -9,30 +9,42 @@ from problems import scene
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
 
-CRANE = scene("rotary_crane")
-T = np.linspace(0.0, 20.0, 41)
+CRANE, CAR = scene("rotary_crane"), scene("mass_on_car")
+T, INSTANTS = np.linspace(0.0, 20.0, 41), np.linspace(0.0, 4.0, 33)
 MASSES = np.linspace(50.0, 150.0, 7)
+STIFFNESS = CAR.model().parameters.values({})[2] * np.array([0.8, 1.0, 1.3])
 
 
-def paths(count: int) -> list[sc.Reference]:
-    path = CRANE.reference
-    start, end = path.jet(np.array([0.0, 20.0]), 0)[:, 0]
-    return [sc.rest_to_rest(start, start + (end - start) * (0.5 + k / 20), 20.0) for k in range(count)]
+def paths(of: sc.Scene, count: int) -> list[sc.Reference]:
+    path = of.reference
+    start, end = path.jet(np.array([path.start_time, path.end_time]), 0)[:, 0]
+    return [sc.rest_to_rest(start, start + (end - start) * (0.5 + k / 20), path.duration) for k in range(count)]
+
+
+def alone(of: sc.Scene, tolerance: float = 1e-6) -> Array:
+    if of.name == CAR.name:
+        return sc.DynamicInversion(of, native=False, tolerance=tolerance)(INSTANTS)
+    return sc.ExactInversion(of, native=False)(T)
 
 
 @pytest.mark.parametrize("native", [False, True])
+@pytest.mark.parametrize(
+    ("of", "t", "name", "values"),
+    [(CRANE, T, "load_mass", MASSES), (CAR, INSTANTS, "stiffness", STIFFNESS)],
+    ids=["exact", "internal dynamics"],
+)
 @pytest.mark.usefixtures("compiler")
-def test_every_case_has_the_bits_of_its_own_inversion(native: bool) -> None:
-    batch = sc.Batch(CRANE, native=native)
-    alone = [sc.ExactInversion(CRANE.with_parameters(load_mass=each), native=False)(T) for each in MASSES]
-    np.testing.assert_array_equal(batch(T, {"load_mass": MASSES}), alone)
-    moved = [sc.ExactInversion(CRANE.with_reference(each), native=False)(T) for each in paths(7)]
-    np.testing.assert_array_equal(batch(T, paths=paths(7)), moved)
-    both = [
-        sc.ExactInversion(CRANE.with_parameters(load_mass=mass).with_reference(path), native=False)(T)
-        for mass, path in zip(MASSES, paths(7), strict=True)
-    ]
-    np.testing.assert_array_equal(batch(T, {"load_mass": MASSES}, paths(7)), both)
+def test_every_case_has_the_bits_of_its_own_inversion(
+    of: sc.Scene, t: Array, name: str, values: Array, native: bool
+) -> None:
+    batch, ways = sc.Batch(of, native=native), paths(of, len(values))
+    changed = [of.with_parameters(**{name: each}) for each in values]
+    np.testing.assert_array_equal(batch(t, {name: values}), [alone(each) for each in changed])
+    moved = [alone(of.with_reference(each)) for each in ways]
+    np.testing.assert_array_equal(batch(t, paths=ways), moved)
+    both = [alone(each.with_reference(path)) for each, path in zip(changed, ways, strict=True)]
+    np.testing.assert_array_equal(batch(t, {name: values}, ways), both)
+    np.testing.assert_array_equal(batch(t)[0], alone(of))
 
 
 def test_quantities_are_those_that_solve_reports() -> None:
@@ -70,7 +82,7 @@ def test_what_is_wrong_is_named() -> None:
     with pytest.raises(sc.InvalidModel, match="has no parameter weight; it has"):
         batch(T, {"weight": MASSES})
     with pytest.raises(sc.InvalidSetting, match="a batch of 7 sets of parameters has one path a set, not 3"):
-        batch(T, {"load_mass": MASSES}, paths(3))
+        batch(T, {"load_mass": MASSES}, paths(CRANE, 3))
     with pytest.raises(sc.InvalidModel, match="rotary_crane reports no colour; it has"):
         sc.Batch(CRANE, ("colour",))
     with pytest.raises(sc.InvalidModel, match="follows a branch: its cases are solved one by one"):
@@ -79,39 +91,12 @@ def test_what_is_wrong_is_named() -> None:
 
 # Internal dynamics ---------------------------------------------------------------------------------------------------
 
-CAR = scene("mass_on_car")
-INSTANTS = np.linspace(0.0, 4.0, 33)
-STIFFNESS = CAR.model().parameters.values({})[2] * np.array([0.8, 1.0, 1.3])
-
-
-def rides(count: int) -> list[sc.Reference]:
-    path = CAR.reference
-    start, end = path.jet(np.array([path.start_time, path.end_time]), 0)[:, 0]
-    return [sc.rest_to_rest(start, end * (1.0 + k / 10), path.duration) for k in range(count)]
-
-
-def alone(car: sc.Scene, tolerance: float = 1e-6) -> Array:
-    return sc.DynamicInversion(car, native=False, tolerance=tolerance)(INSTANTS)
-
-
-@pytest.mark.parametrize("native", [False, True])
-@pytest.mark.usefixtures("compiler")
-def test_internal_dynamics_of_every_case_have_the_bits_of_their_own_inversion(native: bool) -> None:
-    batch = sc.Batch(CAR, native=native)
-    stiffened = [CAR.with_parameters(stiffness=each) for each in STIFFNESS]
-    np.testing.assert_array_equal(batch(INSTANTS, {"stiffness": STIFFNESS}), [alone(each) for each in stiffened])
-    moved = [alone(CAR.with_reference(each)) for each in rides(3)]
-    np.testing.assert_array_equal(batch(INSTANTS, paths=rides(3)), moved)
-    both = [alone(each.with_reference(path)) for each, path in zip(stiffened, rides(3), strict=True)]
-    np.testing.assert_array_equal(batch(INSTANTS, {"stiffness": STIFFNESS}, rides(3)), both)
-    np.testing.assert_array_equal(batch(INSTANTS)[0], alone(CAR))
-
 
 def test_paths_of_several_kinds_and_durations_go_together() -> None:
     longer = sc.rest_to_rest((0.0,), (1.0,), 5.0)
     t = np.linspace(0.0, 4.0, 80)
     table = sc.sampled(t, CAR.reference.jet(t, 0)[:, 0])
-    own = [CAR.reference, longer, table, rides(2)[1]]
+    own = [CAR.reference, longer, table, paths(CAR, 2)[1]]
     found = sc.Batch(CAR, tolerance=1e-8)(INSTANTS, paths=own)
     for each, values in zip(own, found, strict=True):
         known = alone(CAR.with_reference(each), tolerance=1e-8)
