@@ -56,6 +56,8 @@ def test_an_instant_on_the_axis_is_refused_with_its_time() -> None:
 
 COMMANDS = [
     ["crane-fmu", "feedforward", "-o", "result.csv"],
+    ["crane-fmu", "ssp", "--targets", "host", "-o", "out"],
+    ["crane-fmu", "ssp", "--native", "--targets", "host", "-o", "out"],
     ["servocore", "feedforward", "SCENE", "-o", "result.csv"],
     ["servocore", "sensitivities", "SCENE"],
     ["servocore", "sweep", "SCENE", "--vary", "load_mass=50..100:2", "-o", "result.zarr"],

@@ -152,12 +152,22 @@ EACH_SYSTEM = pytest.mark.parametrize(
 
 
 @EACH_SYSTEM
-def test_a_path_that_moves_later_than_the_run_starts_is_refused(variant: list[str], tmp_path: Path) -> None:
-    file = rows(tmp_path / "path.csv", WHOLE, (8.0, 20.0), 3.0)
-    refused = run("ssp", "-o", tmp_path / "out", "--reference", file, *variant)
-    run.assert_refused(
-        refused, "the path starts in motion at t = 5 s, with a velocity of 0.823 m/s", "run of the system starts at 0 s"
-    )
+@pytest.mark.parametrize(
+    ("begin", "words"),
+    [
+        (
+            8.0,
+            ("the path starts in motion at t = 5 s, with a velocity of 0.823 m/s", "run of the system starts at 0 s"),
+        ),
+        (0.0, ("the path starts at t = -3 s, but the run of the system",)),
+    ],
+    ids=["in motion", "before the run"],
+)
+def test_a_path_that_does_not_start_as_the_run_does_is_refused(
+    begin: float, words: tuple[str, ...], variant: list[str], tmp_path: Path
+) -> None:
+    file = rows(tmp_path / "path.csv", WHOLE, (begin, 20.0), 3.0)
+    run.assert_refused(run("ssp", "-o", tmp_path / "out", "--reference", file, *variant), *words)
     assert not (tmp_path / "out").exists()
 
 

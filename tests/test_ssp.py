@@ -162,21 +162,6 @@ def test_cross_check_files_lie_beside_each_fmu_and_can_be_read(name: str) -> Non
     assert (folder / f"{name}_in.csv").is_file() == (name != "LoadTrajectory")
 
 
-@pytest.mark.parametrize(
-    ("option", "variant"), [("--reference", []), ("--waypoints", []), ("--waypoints", ["--native"])], ids=str
-)
-@pytest.mark.usefixtures("empty_folder")
-def test_a_path_that_the_crane_cannot_follow_is_one_sentence_and_no_folder(
-    option: str, variant: list[str], tmp_path: Path
-) -> None:
-    path = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 10.0)
-    text = sc.path_to_csv(path) if option == "--reference" else "time,x,y,z\n0,5,0,-5\n10,-5,0,-5\n"
-    (tmp_path / "path.csv").write_text(text)
-    refused = run("ssp", "-o", "out", option, "path.csv", "--targets", "host", *variant)
-    run.assert_refused(refused, "at t = 5 s the trolley reaches the slewing axis")
-    assert [each.name for each in tmp_path.iterdir()] == ["path.csv"]
-
-
 def test_a_crane_of_ones_own_decides_what_it_can_follow(tmp_path: Path) -> None:
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -2.0), 1.2)
     with pytest.raises(sc.InvalidReference, match="slack"):
@@ -234,12 +219,3 @@ def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master(native: b
 def test_a_path_beside_a_time_law_is_refused() -> None:
     with pytest.raises(sc.InvalidSetting, match="give either a path or a profile"):
         SystemOptions(sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -4.0), 9.0), profile="degree9")
-
-
-@pytest.mark.parametrize("options", [[], ["--native"]])
-@pytest.mark.usefixtures("empty_folder")
-def test_a_path_that_starts_before_the_run_is_one_sentence_and_no_folder(options: list[str], tmp_path: Path) -> None:
-    (tmp_path / "early.csv").write_text("time,x,y,z\n-3,5,0,-5\n13,4,3,-5\n")
-    refused = run("ssp", "-o", "out", "--waypoints", "early.csv", *options)
-    run.assert_refused(refused, "the path starts at t = -3 s, but the run of the system")
-    assert not (tmp_path / "out").exists()
