@@ -183,15 +183,6 @@ def test_a_redundant_constraint_is_named_and_left_out(
         assert report.condition == pytest.approx(alone.condition)
 
 
-def test_two_outputs_that_are_one_are_singular_and_the_reason_names_them() -> None:
-    chain = actuated_chain()
-    report = sc.analyse(replace(chain, output=ca.vertcat(chain.q[0], 2 * chain.q[0])))
-    assert report.classification == "singular here"
-    assert report.index is None
-    assert "internal dynamics   unknown" in str(report)
-    assert report.reason.startswith("actuated chain: ")
-
-
 THROUGH_AXIS = sc.rest_to_rest((3.0, 0.0, -5.0), (-3.0, 0.0, -5.0), 20.0)
 HURRIED = sc.rest_to_rest((3.0, 0.0, -5.0), (3.0, 0.0, -1.0), 1.0)
 ABOVE_GIRDER = sc.rest_to_rest((3.0, 0.0, -5.0), (3.0, 0.0, 1.0), 20.0)

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import DataObject
-from problems import actuated_chain, changed, driven_pendulum, redundant_pendulum, scene
+from problems import actuated_chain, car_chain, changed, driven_pendulum, redundant_pendulum, scene
 
 import servocore as sc
 from servocore import rotationless as rl
@@ -419,26 +419,35 @@ def test_paths_from_what_is_no_number_are_refused(make: Callable[[], object], sa
 # Dead and doubled -----------------------------------------------------------------------------------------------------
 
 
+CHAIN = actuated_chain()
+
+
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("system", "said"),
     [
-        ({"input_matrix": np.diag([-1.0, 0.0])}, "the input F2 drives no coordinate"),
+        (changed(CHAIN, input_matrix=np.diag([-1.0, 0.0])), ", the input F2 drives no coordinate"),
         (
-            {"input_matrix": [[-1.0, 2.0], [2.0, -4.0]]},
-            "the inputs F1, F2 drive the same: each is implied by the others",
+            changed(CHAIN, input_matrix=[[-1.0, 2.0], [2.0, -4.0]]),
+            ", the inputs F1, F2 drive the same: each is implied by the others",
         ),
-        ({"output": lambda q: [q[0], 3.0]}, "the output y2 depends on no coordinate"),
+        (changed(CHAIN, output=[CHAIN.q[0], 3.0]), ", the output y2 depends on no coordinate"),
         (
-            {"output": lambda q: [q[0], ca.sin(q[0])]},
-            "the outputs y1, y2 follow the same coordinates: each is implied by the others",
+            changed(CHAIN, output=[CHAIN.q[0], ca.sin(CHAIN.q[0])]),
+            ", the outputs y1, y2 follow the same coordinates: each is implied by the others",
+        ),
+        (
+            changed(car_chain(), potential=0),  # nothing connects the car that is pushed to the one that is tracked
+            ": no equation determines u.F, and servo constraint on y determines no variable; check for inputs that move"
+            " nothing, and for outputs that no input moves or that follow from others",
         ),
     ],
 )
-def test_dead_and_doubled_inputs_and_outputs_are_named(fields: dict[str, Any], said: str) -> None:
-    system = actuated_chain()
-    wrong = changed(system, **{key: each(system.q) if callable(each) else each for key, each in fields.items()})
-    said = f"actuated chain: structurally singular, {said}"
-    assert sc.analyse(wrong).reason == said
-    mine = sc.Scene("mine", {"only": lambda: wrong}, sc.rest_to_rest((0.0, 0.0), (1.0, 1.0), 1.0))
+def test_dead_doubled_and_loose_inputs_and_outputs_are_named(system: sc.MechanicalSystem, said: str) -> None:
+    said, report = f"{system.name}: structurally singular{said}", sc.analyse(system)
+    assert report.reason == said
+    assert (report.classification, report.index) == ("singular here", None)
+    assert "internal dynamics   unknown" in str(report)
+    ends = ((place,) * len(system.outputs) for place in (0.0, 1.0))
+    mine = sc.Scene("mine", {"only": lambda: system}, sc.rest_to_rest(*ends, 1.0))
     for form in (None, sc.Projected(), sc.Original()):
         refused(sc.InvalidModel, said, partial(sc.solve, mine, form))
