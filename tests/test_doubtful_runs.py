@@ -9,6 +9,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from outside.writing import coordinates, lagrange
 
 import servocore as sc
 from benchmarks.atlas.row06_singular_configurations import near_axis, near_slack
@@ -52,20 +53,12 @@ def test_a_wheel_that_no_equation_knows_up_to_full_turns_only_may_turn_as_far_as
 
     A torsion spring that stiffens makes the angle enter nonlinearly, which is not periodically.
     """
-    coordinates = sc.Coordinates(sc.Quantity("x", "m"), sc.Quantity("theta", "rad"))
-    x, theta = coordinates["x"], coordinates["theta"]
-    wheel = sc.MechanicalSystem(
-        name="wheel",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=(sc.Quantity("M", "N.m"),),
-        outputs=(sc.Quantity("y", "m"),),
-        mass=ca.diag(ca.SX([2.0, 1e-4])),
-        potential=spring * theta**4 / 4.0,
+    q = coordinates("x", "theta")
+    x, theta = ca.vertsplit(q.q)
+    wheel = lagrange(
+        "wheel", q, q.v[0] ** 2 + 1e-4 * q.v[1] ** 2 / 2, {"y": x}, {"M": theta}, potential=spring * theta**4 / 4.0,
         constraints=x - 0.01 * theta,
-        input_matrix=ca.SX([[0.0, -1.0]]),
-        output=x,
-    )
+    )  # fmt: skip
     reference = sc.rest_to_rest((0.0,), (100.0,), 20.0)
     scene = sc.Scene(name="wheel", models={"points": lambda: wheel}, reference=reference)
     found = projected(scene, 20)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from outside.systems import arm as two_links
+from outside.writing import coordinates, lagrange, square
 from present import present
 from problems import as_scene, driven_pendulum, polynomial_path, scene
 
@@ -22,29 +23,6 @@ from servocore.problem import Problem
 CRANE = scene("rotary_crane")
 REACH = 1.8
 """Of the arm, in m: both of its links."""
-
-
-def linkage(
-    masses: Sequence[float], output: Callable[..., Any], drive: Callable[..., Any], *names: str, **more: Any
-) -> sc.MechanicalSystem:
-    """Return a system of points on coordinates x, y, ... with forces F, G, ... and outputs a, b, ..."""
-    coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
-    q = ca.vertsplit(coordinates.q)
-    outputs, rows = output(*q), drive(*q)
-    for name, of in {"potential": q, "force": ca.vertsplit(coordinates.v)}.items():
-        if name in more:
-            more[name] = more[name](*of)
-    return sc.MechanicalSystem(
-        name="points",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=tuple(sc.Quantity(each, "N") for each in "FGH"[: len(outputs)]),
-        outputs=tuple(sc.Quantity(each, "m") for each in "abc"[: len(outputs)]),
-        mass=ca.SX(np.diag(masses)),
-        output=outputs,
-        input_matrix=rows,
-        **more,
-    )
 
 
 def arm(start: tuple[float, float], end: tuple[float, float]) -> sc.Scene:
@@ -125,12 +103,15 @@ def test_a_point_that_is_reached_to_the_last_millimetre_is_no_miss() -> None:
 
 # Singular -------------------------------------------------------------------------------------------------------------
 
+TWO = coordinates("x y")
+X, Y = ca.vertsplit(TWO.q)
 AT_REST = {
     "an output that is a square": (
-        linkage([1, 1], lambda x, y: [x**2, y], lambda *_: -np.eye(2), "x", "y"), (0.0, 0.0), (1.0, 1.0), "q.x",
+        lagrange("points", TWO, square(TWO.v) / 2, {"a": X**2, "b": Y}, {"F": X, "G": Y}),
+        (0.0, 0.0), (1.0, 1.0), "q.x",
     ),
     "a coupling that vanishes at rest": (
-        linkage([1, 1], lambda _, y: [y], lambda *_: [-1.0, 0.0], "x", "y", potential=lambda x, y: x**2 * y),
+        lagrange("points", TWO, square(TWO.v) / 2, {"a": Y}, {"F": X}, potential=X**2 * Y),
         (0.0,), (1.0,), "q.x",
     ),
 }  # fmt: skip
@@ -150,17 +131,6 @@ def test_a_start_without_relative_degree_is_refused_with_that_reason_by_all(case
         assert str(caught.value) == reason
     with pytest.raises(sc.IntegrationFailed, match="no relative degree"):
         sc.ExactInversion(subject)
-
-
-def test_nothing_that_drives_an_output_is_structurally_singular_for_all() -> None:
-    system = linkage([1, 1], lambda _, y: [y], lambda *_: [-1.0, 0.0], "x", "y")
-    subject = as_scene(system, sc.rest_to_rest((0.0,), (1.0,), 2.0))
-    reason = sc.analyse(subject).reason
-    assert "structurally singular" in reason
-    for form in (None, sc.Projected(), sc.Original()):
-        with pytest.raises(sc.InvalidModel) as caught:
-            sc.solve(subject, form)
-        assert str(caught.value) == reason
 
 
 # What is advised ------------------------------------------------------------------------------------------------------
@@ -268,9 +238,10 @@ def test_a_simulation_ends_when_its_time_is_over(inputs: sc.Solution) -> None:
 
 def block(friction: Callable[..., ca.SX], *, masses: int = 1) -> sc.Scene:
     """Return blocks in a row with friction, pushed by a force on the first that is too weak to keep it moving."""
-    drive = ca.SX([[-1.0, *[0.0] * (masses - 1)]])
-    system = linkage([1.0] * masses, lambda *q: q[:1], lambda *_: drive, *"xy"[:masses], force=friction)
-    return as_scene(system, polynomial_path([[0.0], [0.5]], 2.0))
+    q = coordinates(" ".join("xy"[:masses]))
+    system = lagrange("points", q, square(q.v) / 2, {"a": q.q[0]}, {"F": q.q[0]})
+    rubbed = replace(system, force=friction(*ca.vertsplit(q.v)))
+    return as_scene(rubbed, polynomial_path([[0.0], [0.5]], 2.0))
 
 
 STICKING: dict[str, tuple[Callable[..., ca.SX], int]] = {

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from browser import Page, require_browser
 from command_lines import servocore as run
+from outside.writing import lagrange
 from present import present
 from test_machine_code import OPERATIONS, x, y
 
@@ -60,26 +61,24 @@ def own_crane() -> sc.Scene:
     names = ("trolley.x", "load.x", "load.z", "rope")
     coordinates = sc.Coordinates(*(sc.Quantity(name, "m", positive=name == "rope") for name in names))
     parameters = sc.Parameters(sc.Parameter("trolley", 10.0, "kg", 1.0), sc.Parameter("load", 50.0, "kg", 1.0))
-    (trolley, x, z, rope), lam, gamma = ca.vertsplit(coordinates.q), ca.SX.sym("lam"), ca.SX.sym("gamma", 2, 25)
-    pull = gamma[:, 2] + ca.vertcat(0, 9.81)
-    above, length = gamma[0, 0] - gamma[1, 0] * pull[0] / pull[1], -gamma[1, 0] * ca.norm_2(pull) / pull[1]
-    system = sc.MechanicalSystem(
-        name="own crane",
-        coordinates=coordinates,
+    (trolley, x, z, rope), lam = ca.vertsplit(coordinates.q), ca.SX.sym("lam")
+    masses = ca.vertcat(parameters["trolley"], parameters["load"], parameters["load"], 5)
+    system = lagrange(
+        "own crane",
+        coordinates,
+        ca.dot(masses, coordinates.v**2) / 2,
+        {"x": x, "z": z},
+        {"F": trolley, "R": rope},
         parameters=parameters,
-        inputs=(sc.Quantity("F", "N"), sc.Quantity("R", "N")),
-        outputs=(sc.Quantity("x", "m"), sc.Quantity("z", "m")),
-        mass=ca.diag(ca.vertcat(parameters["trolley"], parameters["load"], parameters["load"], 5)),
         potential=9.81 * parameters["load"] * z,
         constraints=(x - trolley) ** 2 + z**2 - rope**2,
         multipliers=lam,
-        input_matrix=-ca.SX(ca.vertcat(ca.horzcat(1, 0, 0, 0), ca.horzcat(0, 0, 0, 1))),
-        output=ca.vertcat(x, z),
-        gamma=gamma,
-        guess=ca.vertcat(above, gamma[0, 0], gamma[1, 0], length),
+        guess=lambda at: (at[0], at[0], at[1], -at[1]),
         home=(0.0, -3.0),
         observables={sc.Quantity("tension", "N"): 2 * lam * rope},
     )
+    (x, z), pull = ca.vertsplit(system.gamma[:, 0]), system.gamma[:, 2] + ca.vertcat(0, 9.81)
+    system = replace(system, guess=ca.vertcat(x - z * pull[0] / pull[1], x, z, -z * ca.norm_2(pull) / pull[1]))
     path = sc.through([(0.0, -4.0), (3.0, -2.0), (5.0, -3.0)], [0.0, 2.0, 4.0])
     return sc.Scene("own", {"only": lambda: system}, path)
 

@@ -13,7 +13,7 @@ from functools import cache, partial
 import casadi as ca
 import numpy as np
 from outside.systems import Outsider
-from outside.writing import named
+from outside.writing import coordinates, lagrange, named
 
 import servocore as sc
 from servocore.model.generalize import generalize
@@ -286,43 +286,33 @@ def adjustable_flyer() -> sc.MechanicalSystem:
     )  # fmt: skip
 
 
-def one_input(
-    name: str, mass: ca.SX, output: ca.SX, potential: ca.SX, driven: int, q: sc.Coordinates
-) -> sc.MechanicalSystem:
-    """A system of two coordinates, one of them driven, whose guess is the output in the first one."""
-    gamma = reference_symbols(1)
-    return sc.MechanicalSystem(
-        name=name, coordinates=q, parameters=sc.Parameters(), gamma=gamma, home=(0.3,), mass=mass, output=output,
-        inputs=named("u"), outputs=named("y"), potential=potential, guess=ca.vertcat(gamma[0, 0], 0.0),
-        input_matrix=-ca.SX.eye(2)[driven, :],
-    )  # fmt: skip
+def in_the_first(at: ca.SX) -> tuple[ca.SX | float, ...]:
+    """Guess that the first of two coordinates is the output."""
+    return at[0], 0.0
 
 
 @cache
 def ball_and_beam() -> sc.MechanicalSystem:
     """A ball that rolls on a beam with a drive, after Hauser, Sastry and Kokotovic (1992): r'' = r a'^2 - g sin a."""
-    q = sc.Coordinates(sc.Quantity("r", "m"), sc.Quantity("a", "rad"))
-    r, a = ca.vertsplit(q.q)
-    return one_input("ball and beam", ca.diag(ca.vertcat(0.1, 0.02 + 0.1 * r**2)), r, 0.981 * r * ca.sin(a), 1, q)
+    q = coordinates("r", "a")
+    (r, a), (along, turn) = ca.vertsplit(q.q), ca.vertsplit(q.v)
+    return lagrange(
+        "ball and beam", q, (0.1 * along**2 + (0.02 + 0.1 * r**2) * turn**2) / 2, {"y": r}, {"u": a},
+        potential=0.981 * r * ca.sin(a), guess=in_the_first, home=(0.3,),
+    )  # fmt: skip
 
 
 @cache
 def rod_on_one_drive() -> sc.MechanicalSystem:
     """A rod on a cart that moves on a line, with the horizontal place of its centre of oscillation as output."""
-    rod = RODS[0]
-    q = sc.Coordinates(sc.Quantity("x", "m"), sc.Quantity("a", "rad"))
-    x, a = ca.vertsplit(q.q)
+    rod, q = RODS[0], coordinates("x", "a")
+    (x, a), (along, turn) = ca.vertsplit(q.q), ca.vertsplit(q.v)
     coupling = rod.mass * rod.centre * ca.cos(a)
-    mass = ca.blockcat([[CART + rod.mass, coupling], [coupling, rod.inertia + rod.mass * rod.centre**2]])
-    output, potential = x + rod.oscillation * ca.sin(a), -rod.mass * GRAVITY * rod.centre * ca.cos(a)
-    return one_input("rod on one drive", mass, output, potential, 0, q)
-
-
-@cache
-def carts_apart() -> sc.MechanicalSystem:
-    """Two carts that nothing joins: the first is driven, the second tracked."""
-    q = sc.Coordinates(*named("x_1 x_2"))
-    return one_input("carts apart", ca.SX.eye(2), q.q[1], ca.SX(0), 0, q)
+    kinetic = (CART + rod.mass) * along**2 / 2 + (rod.inertia + rod.mass * rod.centre**2) * turn**2 / 2
+    return lagrange(
+        "rod on one drive", q, kinetic + coupling * along * turn, {"y": x + rod.oscillation * ca.sin(a)}, {"u": x},
+        potential=-GRAVITY * coupling, guess=in_the_first, home=(0.3,),
+    )  # fmt: skip
 
 
 @cache

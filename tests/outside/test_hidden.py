@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from outside.systems import arm
-from outside.writing import coordinates
+from outside.writing import coordinates, lagrange
 
 import servocore as sc
 
@@ -69,10 +70,8 @@ def test_torques_of_an_arm_that_is_all_but_stretched_are_told(steps: int) -> Non
 def mass_on_a_rail(mass: Callable[[ca.SX], Any], force: Callable[[ca.SX], Any]) -> sc.Scene:
     q = coordinates("x")
     x, v = q.q[0], q.v[0]
-    system = sc.MechanicalSystem(
-        name="mass", coordinates=q, parameters=sc.Parameters(), inputs=(sc.Quantity("F", "N"),),
-        outputs=(sc.Quantity("Y", "m"),), mass=mass(x), output=x, input_matrix=ca.SX(-1), force=force(v), home=(0.1,),
-    )  # fmt: skip
+    system = lagrange("mass", q, mass(x) * v**2 / 2, {"Y": x}, {"F": x}, home=(0.1,))
+    system = replace(system, force=force(v))
     return sc.Scene("mass", {"only": lambda: system}, sc.rest_to_rest((0.0,), (1.0,), 2.0))
 
 

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 import servocore as sc
+from servocore.model.system import DERIVED
 from servocore.scenes.jets import Jet
 
 g = 9.81
@@ -72,20 +73,21 @@ def lagrange(
     output: Mapping[str, ca.SX],
     drives: Mapping[str, ca.SX],
     *,
-    guess: Callable[[ca.SX], Sequence[ca.SX | float]],
-    home: tuple[float, ...],
+    guess: Callable[[ca.SX], Sequence[ca.SX | float]] | None = None,
     damping: ca.SX | float = 0.0,
+    parameters: sc.Parameters | None = None,
     **others: Any,
 ) -> sc.MechanicalSystem:
     """Write Lagrange's equations of a kinetic energy in v.
 
-    Every input pushes along its entry of `drives`, a function of q; `damping` is Rayleigh's function of v.
+    Every input pushes along its entry of `drives`, a function of q; `damping` is Rayleigh's function of v. Without a
+    `guess` all coordinates are zero.
     """
     gamma = ca.SX.sym("gamma", len(output), sc.MAX_REFERENCE_ORDER + 1)
     return sc.MechanicalSystem(
         name=name,
         coordinates=of,
-        parameters=sc.Parameters(),
+        parameters=parameters or sc.Parameters(),
         inputs=named(" ".join(drives), "N"),
         outputs=named(" ".join(output)),
         mass=ca.sparsify(ca.hessian(kinetic, of.v)[0]),
@@ -93,8 +95,7 @@ def lagrange(
         input_matrix=-ca.jacobian(ca.vertcat(*drives.values()), of.q),
         force=-ca.gradient(ca.SX(damping), of.v),
         gamma=gamma,
-        guess=ca.vertcat(*guess(gamma[:, 0])),
-        home=home,
+        guess=DERIVED if guess is None else ca.vertcat(*guess(gamma[:, 0])),
         **others,
     )
 
