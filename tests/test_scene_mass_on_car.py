@@ -69,18 +69,6 @@ def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(k
         np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-10 * np.abs(exact[name]).max())
 
 
-def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution_exponentially() -> None:
-    this = scene_of("unstable")
-    with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"):
-        solution = sc.solve(this, sc.Reduced(), sc.BackwardEuler(), step=DURATION / 800)
-    exact = exact_on_grid("unstable", 800)
-    distance = np.abs(solution["s"] - exact["s"])
-    (rate,) = (value.real for value in sc.analyse(this).eigenvalues if value.real > 0.0)
-    late = solution.t > 3.0
-    slope = np.polyfit(solution.t[late], np.log(distance[late]), 1)[0]
-    assert slope == pytest.approx(rate, rel=0.05)
-
-
 def test_the_bounded_solution_of_the_unstable_variant_moves_before_the_path_and_fades_on_both_sides() -> None:
     this = scene_of("unstable")
     exact = this.exact(np.array([-15.0, -1.0, 0.0, 4.0, 5.0, 19.0]))
