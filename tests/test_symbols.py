@@ -62,12 +62,6 @@ def test_values_outside_their_bounds_are_refused_with_name_value_unit_and_range(
         sc.Parameters(MASS).values({"mass": value})
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_a_parameter_without_bounds_is_still_a_finite_number(value: float) -> None:
-    with pytest.raises(sc.InvalidModel, match="parameter length"):
-        sc.Parameters(LENGTH).values({"length": value})
-
-
 def test_unknown_parameters_are_refused_and_the_known_ones_listed() -> None:
     parameters = sc.Parameters(MASS, LENGTH)
     with pytest.raises(sc.InvalidModel, match="no parameter is called colour, weight; there are mass, length"):

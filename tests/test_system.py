@@ -163,16 +163,11 @@ def test_an_observable_with_a_stranger_is_refused_by_name() -> None:
         changed(driven_pendulum(), observables={sc.Quantity("power", "W"): STRANGER})
 
 
-def test_an_asymmetric_mass_matrix_is_refused() -> None:
-    with pytest.raises(sc.InvalidModel, match="actuated chain: the mass matrix is not symmetric"):
-        changed(actuated_chain(), mass=ca.SX([[3.0, 0.5], [0.4, 2.0]]))
-
-
 def test_a_mass_matrix_asymmetric_away_from_zero_only_is_refused() -> None:
     system = actuated_chain()
     mass = ca.SX([[3.0, 0.5], [0.5, 2.0]])
     mass[0, 1] += system.q[0] * system.q[1]
-    with pytest.raises(sc.InvalidModel, match="not symmetric"):
+    with pytest.raises(sc.InvalidModel, match="actuated chain: the mass matrix is not symmetric"):
         changed(system, mass=mass, gyroscopic=ca.SX.zeros(2))
 
 
