@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.strategies import DataObject
 from problems import actuated_chain, driven_pendulum, redundant_pendulum
 from thinned import thinned
 
@@ -269,34 +268,6 @@ def test_solve_without_arguments_takes_the_reduced_form_and_says_why(name: str) 
     assert solution.advice == f"{kind}: {ADVICE[kind]}"
     assert "reduced" in solution.route
     assert sc.solve(scene(name), sc.Reduced()).advice == ""
-
-
-def peaks(exact: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
-    return np.array([max(np.abs(exact[name]).max(), 1e-3) for name in names])
-
-
-@pytest.mark.parametrize("name", CRANES)
-@settings(max_examples=6, deadline=None)
-@given(data=st.data())
-def test_the_inputs_are_exact_for_other_paths_and_data_in_all_models(name: str, data: DataObject) -> None:
-    this = scene(name)
-    outputs = [each.name for each in this.model().outputs]
-    ends = [
-        [data.draw(st.floats(-6.0, -2.0) if each == "z" else st.floats(2.0, 6.0)) for each in outputs] for _ in range(2)
-    ]
-    duration, profile = data.draw(st.floats(8.0, 30.0)), data.draw(st.sampled_from([sc.DEGREE9, sc.DEGREE13]))
-    changed = {
-        each.name: each.default * data.draw(st.floats(0.5, 2.0))
-        for each in this.model().parameters.declared
-        if each.name != "gravity"
-    }
-    this = this.with_reference(sc.rest_to_rest(ends[0], ends[1], duration, profile)).with_parameters(**changed)
-    inputs = tuple(each.name for each in this.model().inputs)
-    for model in this.models:
-        solution = sc.solve(this, step=duration / data.draw(st.integers(3, 40)), model=model)
-        exact, fine = this.exact(solution.t), this.exact(np.linspace(0.0, duration, 200))
-        found = np.array([np.abs(solution[each] - exact[each]).max() for each in inputs])
-        assert (found < 1e-10 * peaks(fine, inputs)).all(), model
 
 
 def test_a_small_coefficient_beside_a_large_one_is_not_taken_for_zero() -> None:
