@@ -255,13 +255,6 @@ class Native(Host):
         return np.array(self.fmu.getDirectionalDerivative(*given, sum(self.sizes[name] for name in self.results)))
 
 
-def began(scene: sc.Scene, model: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state (q, v) at rest at the beginning of the path, and the inputs that hold it there."""
-    rest, system = sc.solve(scene, model=model, step=scene.reference.duration / 10), scene.model(model)
-    q = [rest[name][0] for name in system.coordinates.names]
-    return np.array([*q, *[0.0] * len(q)]), np.array([rest[each.name][0] for each in system.inputs])
-
-
 def jets_of(name: str, t: npt.ArrayLike) -> np.ndarray:
     """Return the jets (N, orders, m) of the scene's own path as the FMU takes them."""
     return scene_called(name).reference.jet(np.asarray(t, dtype=float), exported(name).own["orders"] - 1)

@@ -269,6 +269,13 @@ def largest_errors(what: Problem, steps: int, names: tuple[str, ...], smooth: bo
     return np.array([np.abs(found[name] - expected[name]).max() for name in names])
 
 
+def began(this: sc.Scene, model: str) -> tuple[Array, Array]:
+    """Return the state (q, v) at rest at the beginning of the path, and the inputs that hold it there."""
+    rest, system = sc.solve(this, model=model, step=this.reference.duration / 10), this.model(model)
+    q = [rest[name][0] for name in system.coordinates.names]
+    return np.array([*q, *[0.0] * len(q)]), np.array([rest[each.name][0] for each in system.inputs])
+
+
 def shares_of_peaks(this: sc.Scene, solution: sc.Solution, names: Sequence[str]) -> Array:
     """Largest errors, as fractions of the largest exact values."""
     exact = this.exact(solution.t)

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 import fmpy
 import numpy as np
 import pytest
-from native_fmu import END, FULL, START, Native, began, exported, jets_of, scene_called
+from native_fmu import END, FULL, START, Native, exported, jets_of, scene_called
+from problems import began
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array

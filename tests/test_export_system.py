@@ -12,8 +12,9 @@ from command_lines import servocore as run
 from command_lines import write
 from fmpy import read_model_description
 from fmu_host import members
-from native_fmu import END, Native, began, exported, path_of
+from native_fmu import END, Native, exported, path_of
 from present import of_kind, present
+from problems import began
 
 import servocore as sc
 from servocore.export.plant_model import plant_model

@@ -7,6 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from problems import began
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array, call_of
@@ -19,13 +20,7 @@ MODELS = ("points", "generalized")
 
 def at_rest(model: str) -> tuple[Plant, Array, Array]:
     system = CRANE.model(model)
-    plant = sc.compile_plant(system)
-    p = system.parameters.values()
-    state = {
-        "points": [1.0, 0.0, 5.0, 0.0, 5.0, 5.0, 5.0, 0.0, -5.0, *[0.0] * 9],
-        "generalized": [0.0, 5.0, 5.0, *[0.0] * 7],
-    }[model]
-    return plant, np.array(state), p
+    return sc.compile_plant(system), began(CRANE, model)[0], system.parameters.values()
 
 
 def push(time: float) -> Array:
@@ -57,9 +52,7 @@ def linear(time: float, hold: Array) -> Array:
 def test_it_observes_what_simulate_reports_tensions_included_in_independent_coordinates_too(name: str) -> None:
     scene, h = sc.scenes.REGISTRY[name](), 0.001
     model = scene.independent_model
-    rest, system = sc.solve(scene, model=model, step=scene.reference.duration / 10), scene.model(model)
-    hold = np.array([rest[each.name][0] for each in system.inputs])
-    state = np.array([*(rest[each][0] for each in system.coordinates.names), *[0.0] * len(system.coordinates)])
+    (state, hold), system = began(scene, model), scene.model(model)
     plant, p, still = sc.compile_plant(system), system.parameters.values(), np.zeros(len(system.outputs))
     slope = linear(1.0, hold) - linear(0.0, hold)
     for k in range(300):
