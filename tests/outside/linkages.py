@@ -265,15 +265,22 @@ def elastic_rod(rod: float, stretch: float) -> sc.MechanicalSystem:
 
 
 @cache
-def elastic_rod_in_two_coordinates(rod: float, stretch: float) -> sc.MechanicalSystem:
+def elastic_rod_in_two_coordinates(
+    rod: float, stretch: float, nominal: float | None = None, order: tuple[str, ...] = ("a", "stretch"), sign: int = 1
+) -> sc.MechanicalSystem:
     """The same in the crank's angle and the rod's stretch: no slider where the rod is too short to reach the rail."""
-    q = sc.Coordinates(sc.Quantity("a", "rad"), sc.Quantity("stretch", "m", nominal=stretch))
-    a, d = ca.vertsplit(q.q)
-    x = 0.15 * ca.cos(a) + ca.sqrt((rod + d) ** 2 - (0.15 * ca.sin(a)) ** 2)
+    quantities = {"a": sc.Quantity("a", "rad"), "stretch": sc.Quantity("stretch", "m", nominal=nominal)}
+    q = sc.Coordinates(*(quantities[name] for name in order))
+    a, d = q["a"], q["stretch"]
+    x = 0.15 * ca.cos(a) + ca.sqrt((rod + sign * d) ** 2 - (0.15 * ca.sin(a)) ** 2)
+
+    def guess(at: ca.SX) -> list[ca.SX | float]:
+        start = ca.acos((0.15**2 + at[0] ** 2 - rod**2) / (0.3 * at[0]))
+        return [start if name == "a" else 0.0 for name in order]
+
     return lagrange(
-        "elastic slider crank, two coordinates", q, (0.003 * q.v[0] ** 2 + 2 * rate(x, q) ** 2) / 2, {"X": x}, {"T": a},
-        potential=100.0 / stretch * d**2 / 2,
-        guess=lambda at: (ca.acos((0.15**2 + at[0] ** 2 - rod**2) / (0.3 * at[0])), 0.0), home=(rod + 0.02,),
+        "elastic slider crank, two coordinates", q, (0.003 * q.velocity("a") ** 2 + 2 * rate(x, q) ** 2) / 2, {"X": x},
+        {"T": a}, potential=100.0 / stretch * d**2 / 2, guess=guess, home=(rod + 0.02,),
     )  # fmt: skip
 
 
@@ -297,5 +304,5 @@ def elastic_slider_crank(rod: float = 0.3, stretch: float = 1e-5, generalized: b
         return {"a": a.value, "stretch": d.value, "T": torque.value}
 
     path = sc.rest_to_rest((rod + 0.02,), (rod + 0.1,), 0.5)
-    model = partial(elastic_rod_in_two_coordinates if generalized else elastic_rod, rod, stretch)
-    return Case(sc.Scene("elastic_slider_crank", {"rod": model}, path), exact, index=5)
+    model = partial(elastic_rod_in_two_coordinates, nominal=stretch) if generalized else elastic_rod
+    return Case(sc.Scene("elastic_slider_crank", {"rod": partial(model, rod, stretch)}, path), exact, index=5)
