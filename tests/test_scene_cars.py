@@ -28,14 +28,6 @@ def uneven(count: int) -> sc.Scene:
     return scene(count).with_parameters(**values)
 
 
-@pytest.mark.parametrize("count", COUNTS)
-def test_the_reduced_form_returns_the_closed_form_at_any_step(count: int) -> None:
-    for this in (scene(count), uneven(count)):
-        solution = sc.solve(this, sc.Reduced(), step=0.1)
-        names = ("u", "y", *(f"x_{i}" for i in range(1, count + 1)))
-        assert shares_of_peaks(this, solution, names).max() < 1e-11
-
-
 def test_two_cars_need_the_fourth_derivative_as_the_formula_says() -> None:
     this = uneven(2)
     m_1, m_2, k, d = (this.parameter_values()[name] for name in ("mass_1", "mass_2", "stiffness_1", "rest_length_1"))

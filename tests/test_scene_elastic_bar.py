@@ -9,27 +9,18 @@ import pytest
 from flexible import wave_time
 from numpy.polynomial import Polynomial
 from present import present
-from problems import shares_of_peaks
 
 import servocore as sc
 from servocore.references.profiles import polynomial
 from servocore.scenes.elastic_bar import dalembert, elastic_bar
 
 DURATION = 2.0
-COUNTS = (2, 3, 6, 12)
 SMOOTH = sc.rest_to_rest((0.0,), (1.0,), DURATION, polynomial(49))
 
 
 @cache
 def scene(count: int = 3) -> sc.Scene:
     return elastic_bar(count)
-
-
-@pytest.mark.parametrize("count", COUNTS)
-def test_the_reduced_form_returns_the_closed_form_at_any_step(count: int) -> None:
-    for this in (scene(count), scene(count).with_parameters(length=0.7, end_mass=0.0, axial_stiffness=60.0)):
-        solution = sc.solve(this, sc.Reduced(), step=0.1)
-        assert shares_of_peaks(this, solution, ("u", "y", *(f"w_{i}" for i in range(1, count + 1)))).max() < 1e-11
 
 
 def test_the_chain_has_the_mass_of_the_bar_and_carries_it_as_a_rigid_body() -> None:

@@ -182,12 +182,3 @@ def test_fine_ropes_are_plants_and_their_inversion_is_refused(elements: int, rea
 def test_ropes_without_elements_or_of_another_dimension_are_refused(settings: tuple[int, int]) -> None:
     with pytest.raises(sc.InvalidModel, match=r"element|2 or 3 dimensions"):
         heavy_rope(*settings)
-
-
-@pytest.mark.parametrize("elements", [1, 2])
-def test_in_space_too_the_reduced_form_returns_the_closed_form(elements: int) -> None:
-    scene = heavy_rope(elements, 3)
-    solution = sc.solve(scene, step=1.0)
-    exact = scene.exact(solution.t)
-    for name in ("F_x", "F_y", "F_z", "s_x", "tension", "swing"):
-        np.testing.assert_allclose(solution[name], exact[name], atol=1e-10 * np.abs(exact["F_z"]).max())

@@ -27,11 +27,14 @@ from problems import (
     polynomial_path,
     problem,
     scene,
+    shares_of_peaks,
     solved,
 )
 from suite import FlatModelSuite, ModelSuite, ProblemSuite, ProjectedModelSuite, SceneSuite
 
 import servocore as sc
+from servocore.scenes.cars import MOST_MASSES
+from servocore.scenes.heavy_rope import heavy_rope
 
 
 def exported_implementations(package: str) -> set[str]:
@@ -218,6 +221,26 @@ def test_chains_of_equal_length_share_a_model_and_others_do_not(chain: Callable[
     assert chain(4).model() is chain(4).model()
     assert chain(4).model() is not chain(3).model()
     assert sc.scenes.cars(4).model() is not sc.scenes.elastic_bar(4).model()
+
+
+CHAINS = [
+    *((sc.scenes.cars, (count,)) for count in (2, 3, 4, 7, MOST_MASSES)),
+    *((sc.scenes.elastic_bar, (count,)) for count in (2, 3, 6, 12)),
+    *((heavy_rope, (elements, 3)) for elements in (1, 2)),
+]
+
+
+@pytest.mark.parametrize(("chain", "size"), CHAINS)
+def test_chains_of_any_length_return_the_closed_form_at_any_step(
+    chain: Callable[..., sc.Scene], size: tuple[int, ...]
+) -> None:
+    """Of their own data, and of others."""
+    random, own = np.random.default_rng(size), chain(*size)
+    other = {name: random.uniform(0.5, 2.0) * value for name, value in own.parameter_values().items()}
+    for this in (own, own.with_parameters(**other)):
+        solution = sc.solve(this, sc.Reduced(), step=this.reference.duration / 20)
+        moving = [name for name, values in this.exact(solution.t).items() if np.abs(values).max() > 1e-9]
+        assert shares_of_peaks(this, solution, moving).max() < 1e-11
 
 
 def test_closed_form_needs_a_scene_that_has_one() -> None:
