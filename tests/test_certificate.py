@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -283,6 +283,33 @@ def test_equations_that_jump_in_inputs_alone_are_proved_with_the_times(
     low, high = certificate.tube([times[-1]])["F"][0]
     assert 10.0 <= high - low < 10.11  # the force jumps from -5 N to 5 N more
     assert sc.certify(scene, {"F.rate": 1e6}).verdict == "undecided"
+
+
+def with_friction(path: np.ndarray, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Inputs of the overhead crane, and friction by hand: the trolley is `lift` times the pull above the load."""
+    load, speed, pull, jerk = np.moveaxis(path[:, :4].copy(), 1, 0)
+    pull[:, 1] = pull[:, 1] + values["gravity"]
+    lift, size = -load[:, 1] / pull[:, 1], np.hypot(*pull.T)
+    rise = -(speed[:, 1] + lift * jerk[:, 1]) / pull[:, 1]
+    answer = present(OVERHEAD.closed_form)(path, values)
+    winch = values["winch_friction"] * values["winch_radius"]
+    for name, rate, dry in (
+        ("F", speed[:, 0] + rise * pull[:, 0] + lift * jerk[:, 0], values["trolley_friction"]),
+        ("M_w", rise * size + lift * (pull * jerk).sum(axis=1) / size, winch),
+    ):
+        answer[name] = answer[name] + dry * (np.tanh(rate / values["creep"]) + values["viscous_share"] * rate)
+    return answer
+
+
+@pytest.mark.parametrize("seed", thinned(range(20), lambda seed: seed < 2))
+def test_friction_by_chance_leaves_bounds_narrow_with_the_closed_form_inside(seed: int) -> None:
+    scene, rng = OVERHEAD.with_effects("friction"), np.random.default_rng(seed)
+    changed = {k: x * rng.uniform(0.2, 3.0) for k, x in scene.parameter_values().items() if "friction" in k}
+    scene = replace(scene.with_parameters(**changed, creep=10.0 ** rng.uniform(-2.7, -1.0)), closed_form=with_friction)
+    certificate = sc.certify(scene)
+    assert certificate.verdict == "proved", certificate
+    assert require_truth_inside(scene, certificate, seed) < 5e-9
+    assert max(each.between / each.peak for each in certificate.error_bounds.values()) < 5e-9
 
 
 def test_disturbed_answers_are_never_proved_without_the_truth_inside(monkeypatch: pytest.MonkeyPatch) -> None:
