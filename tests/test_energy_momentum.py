@@ -195,7 +195,7 @@ def test_a_step_that_turns_too_far_is_refused_with_the_time() -> None:
     ("how", "said"),
     [
         ({"step": 0.3}, "reports whole steps, but t = 1 s is 3.33333 steps of 0.3 s"),
-        ({"step": -0.1}, "the step must be positive and finite, not -0.1 s"),
+        ({"step": -0.1}, "the step must be positive and finite, not -0.1"),
         ({"step": None}, "the step of the energy-momentum scheme"),
         ({"method": None}, "needs method=EnergyMomentum.*, not None"),
         ({"method": sc.BackwardEuler()}, "needs method=EnergyMomentum"),

@@ -361,7 +361,7 @@ def test_contents_that_are_not_those_that_were_stored_are_not_loaded() -> None:
     path.write_bytes(path.read_bytes()[:-1] + b"?")
     assert library_of(Build(SOURCE, "an answer")) is None
     assert not path.exists()
-    assert built(Build(SOURCE, "an answer")) == path
+    assert built(Build(SOURCE, "an answer")) == library_of(Build(SOURCE, "an answer"))
 
 
 def test_the_longest_unused_go_when_there_is_no_room(own_cache: CodeCache, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,7 +73,9 @@ class Certificate:
     def summary(self) -> str:
         """The verdict in one line: the proved statements, or the first that fails."""
         largest = (max(each.at_instants, each.between) / each.peak for each in self.error_bounds.values())
-        bound = max(largest, default=0.0)
+        bound = f"inputs within {max(largest, default=0.0):.1e} of their peaks"
+        if self._proof is not None and self._proof.boxed:
+            bound = "for all parameters of the box"
         failing = [each for each in self.statements if each.verdict == self.verdict]
         if self.verdict != "proved":
             return f"{failing[0]}" + (f"; and {len(failing) - 1} more" if len(failing) > 1 else "")
@@ -81,8 +83,8 @@ class Certificate:
         limits = ", ".join(each.what.removeprefix(LIMIT) for each in self.statements if each.what.startswith(LIMIT))
         times = ", ".join(f"{t:.6g} s" for t in self.jumps)
         return (
-            f"proved: one regular motion at all times from {begin:.6g} s to {end:.6g} s, inputs within {bound:.1e} of"
-            f" their peaks{limits and f'; within the limits of {limits}'}{times and f'; inputs jump at t = {times}'}"
+            f"proved: one regular motion at all times from {begin:.6g} s to {end:.6g} s, {bound}"
+            f"{limits and f'; within the limits of {limits}'}{times and f'; inputs jump at t = {times}'}"
         )
 
     def __repr__(self) -> str:

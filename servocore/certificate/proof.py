@@ -281,7 +281,7 @@ class Proof:
             model, given, peaks = self.x[..., some], self.given[..., some], self.peaks
             x = model[:-1]
             if tests:  # more than what ends are rounded by at joints
-                D = np.maximum(_SHAPED * model[-1], _TINY * norm(x))
+                D = np.maximum(_SHAPED * model[-1], _TINY * np.maximum(norm(x), peaks))
             else:
                 D = REACH * peaks * 0.5 ** self.depth[some]
                 D[equations.switching] = _TIGHT * peaks[equations.switching]
@@ -336,8 +336,11 @@ class Proof:
         motion, inputs = self.equations.motion, self.equations.inputs
         both, one = self.proved[:-1] & self.proved[1:], fits.all(axis=1).any(axis=0)
         of_path = np.isin(self.end[:-1], self.problem.reference.joints)
-        # Also of what is unique wherever it is; less is a rounding error of the path.
+        # Also of what is unique wherever it is; less is a rounding error, as is less than D where the path is smooth.
+        lacking = self.problem.array.reference_order - self.problem.reference.smoothness
+        rough = lacking > np.isin(np.arange(len(apart)), motion)[:, None]
         leaps = of_path & (apart > noise + rho[:, :-1] + rho[:, 1:] + _STEADY * self.peaks)
+        leaps &= rough | ~near.any(axis=0)
         conditions = [~both, leaps[motion].any(axis=0), one & ~leaps[inputs].any(axis=0), ~of_path]
         conditions.append(fits[:, motion].all(axis=1).any(axis=0))
         kinds = ["not proved", "motion jumps", "one branch", "apart", "inputs jump"]

@@ -16,7 +16,15 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidReference, InvalidSetting, ServocoreError, described, require_kind, require_real
+from servocore.errors import (
+    InvalidReference,
+    InvalidSetting,
+    ServocoreError,
+    described,
+    require_kind,
+    require_positive,
+    require_real,
+)
 from servocore.numerics.memoization import made_once
 
 if TYPE_CHECKING:
@@ -315,8 +323,7 @@ def time_grid(reference: Reference, step: float | None) -> FloatArray:
     duration = reference.duration
     if step is None:
         step = duration / _DEFAULT_STEPS
-    if not 0.0 < step < float("inf"):
-        raise InvalidSetting(f"the step must be positive and finite, not {step} s")
+    require_positive(step, "the step", "a time in s")
     if step > duration * (1 + 1e-9):
         raise InvalidSetting(f"the step of {step:g} s is larger than the duration of {duration:g} s")
     count = round(duration / step)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servocore.errors import InvalidReference, InvalidSetting, require_kind, require_positive, require_real
+from servocore.errors import InvalidReference, InvalidSetting, require_kind, require_positive
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 from servocore.scenes.bar_marching import require_rest
@@ -94,9 +94,7 @@ def march_rope(reference: Reference, parameters: Mapping[str, float], step: floa
         if not (name == "rope_stiffness" and value == np.inf):
             require_positive(value, f"{name} of the march", "a number", or_zero=name in ("trolley_mass", "rope_mass"))
     m_t, m, length, line_mass, axial, g = (float(parameters[name]) for name in PARAMETERS.names)
-    require_real(step, "the step of the march", "a time in s", InvalidSetting)
-    if not 0.0 < step < float("inf"):
-        raise InvalidSetting(f"the step of the march must be positive and finite, not {step} s")
+    require_positive(step, "the step of the march", "a time in s")
     _require_path(reference, order=3 if line_mass else 4)
     if step > reference.duration / _FEWEST:
         raise InvalidSetting(f"the step of the march, {step:g} s, is too long for a path of {reference.duration:g} s")

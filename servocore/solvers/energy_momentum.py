@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from servocore.errors import IntegrationFailed, InvalidSetting, require_kind
+from servocore.errors import IntegrationFailed, InvalidSetting, require_kind, require_positive
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, Places, chained, mapped, repeated
 from servocore.numerics.just_in_time import in_machine_code
@@ -147,8 +147,7 @@ _scheme, _in_machine_code = made_once(compile_conserving_step), made_once(in_mac
 
 def _places(t: Array, step: float) -> Places:
     """Return which step ends at each instant; raise `InvalidSetting` for an instant between two."""
-    if not 0.0 < step < float("inf"):
-        raise InvalidSetting(f"the step must be positive and finite, not {step} s")
+    require_positive(step, "the step", "a time in s")
     exact = (t - t[0]) / step
     places: Places = np.round(exact).astype(np.intp)
     off = np.abs(exact - places)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from servocore.errors import InvalidReference, InvalidSetting, require_formulation, require_method, require_real
+from servocore.errors import InvalidReference, InvalidSetting, require_formulation, require_method, require_positive
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.model.scene import Scene, require_scene
@@ -57,9 +57,7 @@ class Stepper:
         require_scene(self.scene, "Stepper")
         require_formulation(self.formulation)
         require_method(self.method, routes=False)
-        require_real(self.step, "the step", "a time in s", InvalidSetting)
-        if not 0.0 < self.step < float("inf"):
-            raise InvalidSetting(f"the step must be positive and finite, not {self.step} s")
+        require_positive(self.step, "the step", "a time in s")
         problem = Problem.of(self.scene, self.model)
         object.__setattr__(self, "problem", problem)
         object.__setattr__(self, "program", program_of(problem, self.formulation, self.method, self.native))

@@ -54,6 +54,6 @@ def test_what_bounds_a_path_is_refused_where_it_is_not_so(name: str) -> None:
 
 
 def test_an_enclosure_of_another_shape_is_refused() -> None:
-    path = type("Short", (Sine,), {"enclosure": lambda *_: np.zeros((2, 1))}).of(RATE, RIGHT)  # type: ignore[attr-defined]
+    path = type("Short", (Sine,), {"enclosure": lambda *_: np.zeros((2, 1))}).of(RATE, RIGHT)  # type: ignore[attr-defined]  # of Sine
     with pytest.raises(sc.InvalidReference, match="Short: an enclosure must be coefficients of shape"):
         sc.certify(cars(path))
