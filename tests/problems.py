@@ -269,7 +269,7 @@ def largest_errors(what: Problem, steps: int, names: tuple[str, ...], smooth: bo
     return np.array([np.abs(found[name] - expected[name]).max() for name in names])
 
 
-def began(this: sc.Scene, model: str) -> tuple[Array, Array]:
+def began(this: sc.Scene, model: str | None) -> tuple[Array, Array]:
     """Return the state (q, v) at rest at the beginning of the path, and the inputs that hold it there."""
     rest, system = sc.solve(this, model=model, step=this.reference.duration / 10), this.model(model)
     q = [rest[name][0] for name in system.coordinates.names]

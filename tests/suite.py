@@ -193,9 +193,9 @@ class FlatModelSuite:
         """Of data up to twice the scene's own, whose booms reach so far."""
         system, this = scene(scene_name).model(model), scene(scene_name)
         jet = jets_near_home(system, data.draw(perturbations(len(system.outputs))))
-        for each in system.parameters.declared:
-            value = this.parameter_values()[each.name] * data.draw(st.floats(0.8, 2.0))
-            this = this.with_parameters(**{each.name: float(np.clip(value, each.lower, each.upper))})
+        for parameter in system.parameters.declared:
+            value = this.parameter_values()[parameter.name] * data.draw(st.floats(0.8, 2.0))
+            this = this.with_parameters(**{parameter.name: float(np.clip(value, parameter.lower, parameter.upper))})
         assert this.closed_form is not None
         expected = this.closed_form(jet[None], this.parameter_values())
         found = inverted(system, jet, system.parameters.values(this.parameters))

@@ -447,7 +447,7 @@ def test_dead_doubled_and_loose_inputs_and_outputs_are_named(system: sc.Mechanic
     assert report.reason == said
     assert (report.classification, report.index) == ("singular here", None)
     assert "internal dynamics   unknown" in str(report)
-    ends = ((place,) * len(system.outputs) for place in (0.0, 1.0))
-    mine = sc.Scene("mine", {"only": lambda: system}, sc.rest_to_rest(*ends, 1.0))
+    start, end = ((place,) * len(system.outputs) for place in (0.0, 1.0))
+    mine = sc.Scene("mine", {"only": lambda: system}, sc.rest_to_rest(start, end, 1.0))
     for form in (None, sc.Projected(), sc.Original()):
         refused(sc.InvalidModel, said, partial(sc.solve, mine, form))

@@ -75,7 +75,7 @@ def lagrange(
     *,
     guess: Callable[[ca.SX], Sequence[ca.SX | float]] | None = None,
     damping: ca.SX | float = 0.0,
-    parameters: sc.Parameters | None = None,
+    parameters: Any = None,  # `others` that are spread from a dictionary would have to fit another type
     **others: Any,
 ) -> sc.MechanicalSystem:
     """Write Lagrange's equations of a kinetic energy in v.
