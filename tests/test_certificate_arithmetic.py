@@ -153,6 +153,13 @@ def test_machine_code_and_numpy_carry_out_alike(degrees: tuple[int, ...], monkey
     np.testing.assert_allclose(native, plain, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("boxes", [1, 32])
+def test_a_product_that_underflows_is_not_zero(boxes: int) -> None:
+    small = model_of(np.full((4, 1, boxes), 1e-200))
+    assert (arithmetic((3,)).product(small, small)[-1] > 0.0).all()
+    assert not arithmetic((3,)).product(small, 0.0 * small).any()
+
+
 @pytest.mark.parametrize("n", [1, 2, 5, 9])
 def test_signs_of_determinants_of_all_matrices_of_a_ball_are_right_or_not_known(n: int) -> None:
     rng, every = np.random.default_rng(n), np.arange(n * n)

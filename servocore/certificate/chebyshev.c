@@ -132,7 +132,8 @@ static void multiply(const whole *tape, whole apart, const double *a, const doub
     EACH {
         piece crossed = size_a[l] * s[l] + size_b[l] * r[l] + r[l] * s[l];
         piece radius = (beyond[l] + off[l] * size_b[l] + crossed) * UP;
-        last[l] = radius + (piece)((bits)(TINY + (piece){0.0}) & (bits)(radius > 0.0));
+        bits some = (bits)(size_a[l] + r[l] > 0.0) & (bits)(size_b[l] + s[l] > 0.0);
+        last[l] = radius + (piece)((bits)(TINY + (piece){0.0}) & some);
     }
 }
 

@@ -142,7 +142,8 @@ class Arithmetic:
         full, size_a, size_b = full.reshape(-1, *a.shape[1:]), norm(a[:-1]), norm(b[:-1])
         crossed = size_a * b[-1] + size_b * a[-1] + a[-1] * b[-1]
         r = (norm(full[terms:]) + np.tensordot(self.rounding, np.abs(a[:-1]), 1) * size_b + crossed) * UP
-        return np.concatenate([full[:terms], (r + _TINY * (r > 0))[None]])
+        some = (size_a + a[-1] > 0.0) & (size_b + b[-1] > 0.0)
+        return np.concatenate([full[:terms], (r + _TINY * some)[None]])
 
     @cached_property
     def nodes(self) -> Array:
