@@ -344,9 +344,16 @@ def test_inputs_of_a_solution_are_compared_with_the_proved_ones(name: str) -> No
         assert bound.at_instants == pytest.approx(np.abs(stepped[each] - exact[each]).max(), rel=1e-6)
 
 
+def test_coordinates_of_a_solution_are_compared_with_the_proved_ones() -> None:
+    solution = sc.solve(OVERHEAD)
+    values = solution.values.copy()
+    values[7, solution.names.index("s")] += 1e-6
+    assert "s is off by at most" in sc.certify(replace(solution, values=values)).summary
+
+
 def test_a_solve_refuses_what_its_certificate_refutes_and_warns_of_what_it_leaves_undecided() -> None:
     assert sc.solve(OVERHEAD.with_limits(F=511.0), certify=True).t[-1] == 3.0
-    with pytest.raises(sc.InvalidReference, match=r"certificate is refuted: inputs within 0\.05 of their peaks"):
+    with pytest.raises(sc.InvalidReference, match=r"certificate is refuted: inputs and coordinates within 0\.05 of"):
         sc.solve(OVERHEAD, sc.Projected(), sc.BackwardEuler(), step=0.05, certify=True)
     with pytest.warns(sc.ServocoreWarning, match=r"certificate is undecided: one motion .*inputs within"):
         sc.solve(sc.scenes.mass_on_car().with_parameters(stiffness=-5.0), step=0.2, certify=True)

@@ -10,7 +10,16 @@ import numpy as np
 from servocore.certificate.chebyshev import arithmetic, model_of
 from servocore.certificate.equations import block_signs, equations_of, given_models, radii
 from servocore.certificate.proof import REACH, PartialProof, Proof, smallest_peaks
-from servocore.certificate.statements import DEFINITE, Claim, Statement, claims_of, known, stated, walk_of_limits
+from servocore.certificate.statements import (
+    DEFINITE,
+    Claim,
+    Statement,
+    claims_of,
+    known,
+    reported_name,
+    stated,
+    walk_of_limits,
+)
 from servocore.numerics.compiled_calls import Array, Mask, Places
 from servocore.solution import Solution
 from servocore.stepping.exact_evaluation import unknowns_near
@@ -108,9 +117,8 @@ def _singular(proof: Proof, solution: Solution | None) -> Statement | None:
 def _meets(array: DerivativeArray, solution: Solution, at: Places, x: Array, D: Array) -> Mask:
     """Return at which instants of a solution, by number, what it reports of the unknowns is within D of x (size, N)."""
     meets = np.ones(len(at), dtype=bool)
-    for k, (j, order) in enumerate(array.unknowns):
-        name = array.names[j].partition(".")[2]
-        if order == 0 and name in solution:
+    for k, unknown in enumerate(array.unknowns):
+        if (name := reported_name(array, unknown)) in solution:
             meets &= np.abs(solution[name][at] - x[k]) <= D[k]
     return meets
 

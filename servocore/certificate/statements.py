@@ -12,7 +12,7 @@ import numpy as np
 
 from servocore.certificate.chebyshev import UNIT, Arithmetic, Model, arithmetic, magnitude, norm
 from servocore.certificate.equations import Equations
-from servocore.certificate.proof import Proof
+from servocore.certificate.proof import Proof, smallest_peaks
 from servocore.certificate.walk import Walk
 from servocore.model.limits import Limit, Named, RunQuantity, reported_quantities
 from servocore.model.system import MechanicalSystem
@@ -23,6 +23,7 @@ from servocore.problem import LEFT_OUT_HOLDS, ResolvedSystem
 from servocore.references.base import time_grid
 from servocore.solution import Solution
 from servocore.stepping.readings import with_rates
+from servocore.structure.derivative_array import DerivativeArray
 
 Verdict = Literal["proved", "undecided", "refuted"]
 VERDICTS: tuple[Verdict, ...] = ("proved", "undecided", "refuted")
@@ -287,9 +288,10 @@ def compared(
 ) -> tuple[dict[str, ErrorBound], list[Statement], list[Claim]]:
     """Bound errors of inputs, at the instants of a solution or of a default run, and state the consequence.
 
-    Inputs of a solution are right, and it is claimed that no input goes far beyond its values at the instants; where
-    equations switch inputs have no value to compare with. Of a motion that is not proved to its end only the claim is
-    left: a value far beyond refutes it wherever the motion is joined, with what is reported where it is not.
+    Inputs and coordinates of a solution are right, and it is claimed that no input goes far beyond its values at the
+    instants; where equations switch inputs have no value to compare with. Of a motion that is not proved to its end
+    only the claim is left: a value far beyond refutes it wherever the motion is joined, with what is reported where it
+    is not.
     """
     inputs, places = proof.problem.system.inputs, proof.equations.inputs
     t = time_grid(proof.problem.reference, None) if solution is None else solution.t
@@ -297,12 +299,17 @@ def compared(
     t = t[calm]
     if not len(t):
         return {}, [Statement("inputs at instants", "undecided", "inputs may jump at every instant")], []
-    unknowns = proof.at(proof.enclosures[:, places], t)
+    array, names = proof.equations.array, [each.name for each in inputs]
+    reported_as = {k: reported_name(array, array.determined[k]) for k in proof.equations.motion}
+    moved = [k for k, name in reported_as.items() if solution is not None and name in solution]
+    names += [reported_as[k] for k in moved]
+    unknowns = proof.at(proof.enclosures[:, [*places, *moved]], t)
     middle, radius = unknowns[0], magnitude(unknowns[1:])
-    reported = middle if solution is None else np.stack([solution[each.name][calm] for each in inputs])
+    reported = middle if solution is None else np.stack([solution[name][calm] for name in names])
     middle = np.where(np.isfinite(radius), middle, reported)  # the instants show what is not proved, too
     apart, peaks = np.abs(reported - middle), np.abs(middle).max(axis=1)
-    peaks = np.maximum(peaks, max(_FLOOR * peaks.max(initial=0.0), 1e-300))
+    least = np.maximum(_FLOOR * peaks[: len(inputs)].max(initial=0.0), np.full(len(inputs), 1e-300))
+    peaks = np.maximum(peaks, [*least, *smallest_peaks(proof.problem, [array.determined[k] for k in moved])])
     between = proof.x[-1, places][:, ~proof.jumping].max(axis=1)
     bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()
     for k, each in enumerate(inputs):
@@ -316,9 +323,15 @@ def compared(
         low, high = ((apart + side * radius) / peaks[:, None] for side in (-1.0, 1.0))
         verdict: Verdict = "proved" if high.max() <= tolerance else "refuted" if low.max() > tolerance else "undecided"
         place, at = np.unravel_index(int(high.argmax()), high.shape)
-        text = f"{inputs[int(place)].name} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
-        found.append(Statement(f"inputs within {tolerance:g} of their peaks", verdict, text, float(t[at])))
+        text = f"{names[int(place)]} is off by at most {high.max():.2g} of its peak, at t = {t[at]:.6g} s"
+        found.append(Statement(f"inputs and coordinates within {tolerance:g} of peaks", verdict, text, float(t[at])))
     return bounds, found, claims
+
+
+def reported_name(array: DerivativeArray, unknown: tuple[int, int]) -> str:
+    """Return the name by which a solution may report an unknown, empty for a derivative."""
+    j, order = unknown
+    return "" if order else array.names[j].partition(".")[2]
 
 
 def enclosed(proof: Proof, limits: Sequence[Limit], t: Array) -> Array:
