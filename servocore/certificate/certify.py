@@ -27,8 +27,9 @@ from servocore.errors import (
 from servocore.model.limits import Bounds, Limit, Named, limit_named, reported_quantities
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
 from servocore.presentation import Curve, figure_of
-from servocore.problem import Problem, resolve
+from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
 
@@ -296,6 +297,10 @@ def _inside(problem: Problem, boxed: Box) -> Problem:
     p = problem.p.copy()
     for k, (low, high) in boxed.items():
         p[k] = low + _SOMEWHERE * (high - low)
-    if not boxed or problem.resolved.suits(p):
-        return problem
-    return replace(problem, resolved=resolve(problem.system, tuple(p.tolist())))
+    return replace(problem, resolved=_structured_at(problem.resolved, tuple(p.tolist()))) if boxed else problem
+
+
+@made_once
+def _structured_at(resolved: ResolvedSystem, p: tuple[float, ...]) -> ResolvedSystem:
+    """Return a system as it is where its structure holds at parameter values too, else resolved there."""
+    return resolved if resolved.suits(np.array(p)) else resolve(resolved.system, p)

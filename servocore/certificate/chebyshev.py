@@ -156,6 +156,11 @@ class Arithmetic:
         return self.rows(self.nodes)
 
     @cached_property
+    def at_middle(self) -> Array:
+        """Matrix from coefficients to the value in the middle of the box."""
+        return self.rows(np.zeros((1, len(self.degrees))))
+
+    @cached_property
     def interpolation(self) -> Array:
         """Matrix from values at the nodes to coefficients."""
         return np.asarray(np.linalg.inv(self.at_nodes), dtype=np.float64)
@@ -289,8 +294,7 @@ class Arithmetic:
 
     def _middle(self, a: Model) -> tuple[Array, Array]:
         """Return values of polynomials in the middle of the box and bounds of their rounding errors."""
-        at_middle = self.rows(np.zeros((1, len(self.degrees))))
-        return _applied(at_middle, a[:-1])[0], (len(a) + 7) * UNIT * norm(a[:-1])
+        return _applied(self.at_middle, a[:-1])[0], (len(a) + 7) * UNIT * norm(a[:-1])
 
     def rising(self, function: Callable[[Array], Array], a: Model) -> Model:
         """Return an exact function that nowhere falls: any value between those at the ends of the range of a."""
@@ -301,11 +305,8 @@ class Arithmetic:
         return found
 
     def _or_range(self, found: Model, function: Callable[[Array], Array], a: Model) -> Model:
-        """Return a model of a function that nowhere falls, or its range where that has the smaller radius.
-
-        Models that are narrow anyway are not compared.
-        """
-        if (found[-1] <= _NARROW).all():
+        """Return a model of a function that nowhere falls, or its range where that has the smaller radius."""
+        if (found[-1] <= _NARROW).all():  # narrow anyway: they are not compared
             return found
         around = self.rising(function, a)
         around[-1] += 2.0 * _ULPS * magnitude(around)
