@@ -316,7 +316,7 @@ class Proof:
         position = (2.0 * t - a - b) / (b - a)
         found = models[..., numbers]
         basis = chebyshev.chebvander(np.clip(position, -1.0, 1.0), self.ring.degrees[0])
-        shaped = found[:-1].reshape(basis.shape[1], (len(found) - 1) // basis.shape[1], *found.shape[1:])
+        shaped = found[:-1].reshape(basis.shape[1], -1, *found.shape[1:])
         # A time is off by rounding in the middle of an interval: that is a share of what the polynomials vary by.
         late = 1.0 + (np.abs(a) + np.abs(b)) / (b - a)
         noise = np.tensordot(np.arange(basis.shape[1]) ** 2.0, np.abs(shaped), 1).sum(axis=0) * late

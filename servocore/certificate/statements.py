@@ -308,7 +308,7 @@ def compared(
     reported = middle if solution is None else np.stack([solution[name][calm] for name in names])
     middle = np.where(np.isfinite(radius), middle, reported)  # the instants show what is not proved, too
     apart, peaks = np.abs(reported - middle), np.abs(middle).max(axis=1)
-    least = np.maximum(_FLOOR * peaks[: len(inputs)].max(initial=0.0), np.full(len(inputs), 1e-300))
+    least = [max(_FLOOR * peaks[: len(inputs)].max(initial=0.0), 1e-300)] * len(inputs)
     peaks = np.maximum(peaks, [*least, *smallest_peaks(proof.problem, [array.determined[k] for k in moved])])
     between = proof.x[-1, places][:, ~proof.jumping].max(axis=1)
     bounds, found, claims = dict[str, ErrorBound](), list[Statement](), list[Claim]()

@@ -71,7 +71,8 @@ class Walk:
                 outputs[out[1]] = place_of[used[0]]
             elif number == ca.OP_CONST:
                 place_of[out[0]] = self._constants[constant]
-                self._squares |= {self._constants[constant]} if constant >= 0.0 else set()
+                if constant >= 0.0:
+                    self._squares.add(self._constants[constant])
             elif number == ca.OP_INPUT:
                 place_of[out[0]] = used[1]
             else:
